@@ -12,9 +12,9 @@ from layouts import PAGE, Row, differences, row_of, rows, tables
 from synthetic import cycle_branch, special_curve
 
 from jaxchain.basins import Box, basin_shares, share_differences
-from jaxchain.boundaries import fold_belt_speeds
+from jaxchain.boundaries import continue_equilibrium, fold_belt_speeds
 from jaxchain.continuation import continue_branch
-from jaxchain.model.chain import paper_chain
+from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers import (
     Amplitude,
@@ -146,6 +146,11 @@ def test_branches():
     circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0).to_dataset()
     assert not differences(TABLES["Branches", "Of equations"], rows(circle))
     assert set(circle.attrs) <= attributes("Branches", "Of equations")
+    rest = steady_sliding(SMOOTHED)
+    still = continue_equilibrium(SMOOTHED, rest, "belt_speed", (0.5, 2.0), max_points=2)
+    data = still.to_dataset()
+    assert not differences(TABLES["Branches", "Of equilibria"], rows(data))
+    assert set(data.attrs) <= attributes("Branches", "Of equilibria")
     numbers = "belt_speed", "damping_ratio"
     curve, unless = special_curve().to_dataset(), [*numbers, *(f"special_{n}" for n in numbers)]
     assert not differences(TABLES["Branches", "Of special points"], rows(curve, unless=unless))

@@ -16,17 +16,30 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
-from .._checks import check_concrete, check_flag, check_number, is_traced, shown, to_float
+from .._checks import (
+    check_concrete,
+    check_flag,
+    check_number,
+    check_pair,
+    check_positive_number,
+    is_traced,
+    shown,
+    to_float,
+)
 from .._final import final
 from .._types import State
 from ..continuation.arclength import continue_branch
-from ..continuation.branch import Branch
+from ..continuation.branch import Branch, Labels, joined
 from ..continuation.damped_newton import check_tolerance, search
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_state
 from ..model.cells import AbstractField
-from ..model.chain import require_smoothed
+from ..model.chain import Chain, require_smoothed
 from ..model.locality import check_autonomous
+from ..model.oscillators import AbstractOscillators
+from ..model.parameters import SPEED, Parameter
+from ..model.parameters import parameter as parameter_row
+from ..observers.base import component_name
 from ..result import Outcome, SearchResult
 
 # Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
@@ -386,19 +399,34 @@ def _hopf_test(u: np.ndarray, p: float, tangent: np.ndarray, values: Any) -> flo
 
 
 def continue_equilibrium(
-    chain: Any, guess: Any, parameter: str, bounds: tuple[Any, Any], **options: Any
+    chain: Any,
+    guess: Any,
+    parameter: str,
+    bounds: tuple[Any, Any],
+    *,
+    direction: Any = None,
+    step: Any = None,
+    max_step: Any = 0.02,
+    max_points: Any = 1000,
+    **options: Any,
 ) -> Branch:
     """Follows an equilibrium as a number of the model changes, around folds, with its Hopf points.
 
-    **Arguments:** `chain`, `guess`: as for `find_equilibrium`; `parameter`: the name of a number
-    that `chain.with_` takes, one for all cells; `bounds`: its range, at whose ends the branch
-    ends; `options`: `direction`, `step`, `max_step`, `max_points`, ... of
-    `jaxchain.continuation.continue_branch`.
+    **Arguments:**
+
+    - `chain`, `guess`: as for `find_equilibrium`.
+    - `parameter`: the name of a number that `chain.with_` takes, one for all cells; `bounds`: its
+      range, which contains the value of the chain, and at whose ends the branch ends.
+    - `direction`: 1 or -1, the sign of the first change of the number; by default both.
+    - `step`, `max_step`: the first and the longest step, by default at most 0.01 and 0.02.
+      Lengths are ((change of the number / its range)^2 + (mean of squared changes of the state) /
+      (its greatest entry, at least 1)^2)^(1/2): some 50 points or more in the whole range.
+    - `max_points` in each direction; `options`: others of `jaxchain.continuation.continue_branch`.
 
     **Returns:** a `Branch`: `u` (k, m n) the concatenated states, `p` (k,) the number, `extra` (k,
-    m n) the eigenvalues, the greatest real part first, and `special`, the points of kind "fold",
-    "branch point" and "hopf".  `find_hopf_point` gives such a point to all digits, with
-    derivatives.
+    m n) the eigenvalues, the greatest real part first, `stable` (k,), and `special`, the points of
+    kind "fold", "branch point" and "hopf".  `find_hopf_point` gives such a point to all digits,
+    with derivatives; `plot_branch` draws the branch.
 
     **Raises:** `ValueError` for bad input; `RuntimeError` if there is no equilibrium near `guess`.
 
@@ -416,17 +444,41 @@ def continue_equilibrium(
     check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
     state = find_equilibrium(chain, guess).state
     _check_parameter(chain, parameter)
-    rates = Rates(chain, len(state), parameter)
-    branch = continue_branch(
-        _plain,
-        jnp.concatenate(state),
-        float(chain.numbers()[parameter]),
-        rates,
-        bounds=bounds,
-        tests={"hopf": _hopf_test},
-        value_and_jacobian=_linearised,
+    rates, start = Rates(chain, len(state), parameter), np.concatenate(state)
+    p = float(chain.numbers()[parameter])
+    low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
+    if not low <= p <= high:
+        raise ValueError(
+            f"Argument `bounds` must be (low, high) around `{parameter}` = {p:.6g} of the chain, "
+            f"but is {(low, high)}: change one of them, as `chain.with_({parameter}={low:.6g})`."
+        )
+    check_positive_number("max_step", max_step, "0.02 of the range is usual.")
+    width = high - low if 0.0 < high - low < np.inf else max(abs(p), 1.0)
+    size = np.full(start.size, max(1.0, np.max(np.abs(start)))) * start.size**0.5
+    options = {
+        "step": min(0.01, float(max_step)) if step is None else step,
+        "max_step": max_step,
+        "max_points": max_points,
+        "weights": np.append(1.0 / size, 1.0 / width),
         **options,
-    )
+    }
+
+    def follow(direction: Any) -> Branch:
+        return continue_branch(
+            _plain,
+            start,
+            p,
+            rates,
+            direction=direction,
+            bounds=(low, high),
+            tests={"hopf": _hopf_test},
+            value_and_jacobian=_linearised,
+            **options,
+        )
+
+    branch = follow(-1 if direction is None else direction)
+    if direction is None and branch.ended not in ("closed", "interrupted", "no_start"):
+        branch = joined(branch, follow(1))
 
     def happens(point: Any) -> bool:
         """False where the sum of two real eigenvalues vanishes, which is no Hopf point."""
@@ -434,4 +486,21 @@ def continue_equilibrium(
         on_axis = np.abs(values.real) <= _ON_AXIS * np.abs(values)
         return point.kind != "hopf" or bool(np.any(on_axis & (values.imag > 0)))
 
-    return replace(branch, special=tuple(filter(happens, branch.special)))
+    stable = None if branch.extra is None else np.real(branch.extra[:, 0]) < 0.0
+    special = tuple(filter(happens, branch.special))
+    return replace(
+        branch, special=special, stable=stable, labels=_labels(chain, len(state), parameter)
+    )
+
+
+def _labels(chain: AbstractField, m: int, name: str) -> Labels:
+    """Of a branch of equilibria."""
+    known = isinstance(chain, AbstractOscillators)
+    row = parameter_row(name) if isinstance(chain, Chain) else Parameter(name, name)
+    names = [component_name(chain, i) for i in range(m)]
+    units = ["x0", SPEED] if known else ["1"] * m
+    parts = {
+        a: {"long_name": a if chain.components else f"component {a}", "units": unit}
+        for a, unit in zip(names, units, strict=True)
+    }
+    return Labels(name, row.attrs, parts)

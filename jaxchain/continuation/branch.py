@@ -5,13 +5,13 @@ Everything here is plain data on the host, in NumPy.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from .._final import final
 from ..result import Printed
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 ENDINGS = {
     "max_points": "The branch has as many points as asked. Allow more (`max_points`).",
     "stopped": "`stop` was true at the last point.",
-    "left_bounds": "The parameter reached `bounds`; the last point lies on them.",
+    "left_bounds": "The parameter reached `bounds`, on which the branch ends.",
     "closed": "The branch came back to its first point.",
     "no_start": (
         "No point of the branch was found near the start. Start closer to a solution; at a fold, "
@@ -110,6 +110,18 @@ class Counts:
     rejected: int = 0
 
 
+class Labels(NamedTuple):
+    """Names for datasets and pictures, with the attributes of each in a dataset.
+
+    `parameter`: the name of the parameter; `attrs` of it; `parts`: name -> attributes of the parts
+    of u, which have one entry for each cell.
+    """
+
+    parameter: str
+    attrs: Mapping[str, str]
+    parts: Mapping[str, Mapping[str, str]]
+
+
 @final
 @dataclass(frozen=True, repr=False)
 class Branch(Printed):
@@ -123,6 +135,9 @@ class Branch(Printed):
     - `ended`: "left_bounds", "closed", "max_points", "stopped", "no_start", "step_too_small" or
       "interrupted"; `message` gives a remedy, and `reason` the value of `stop`.
     - `counts`: the cost.
+    - `ended_first`: of a branch that was followed in both directions, why it ends at its first
+      point, else "".
+    - `stable` (k,), `labels`: of equilibria, else None.
 
     See `continue_branch` for an example.
     """
@@ -137,12 +152,19 @@ class Branch(Printed):
     ended: str
     reason: str = ""
     counts: Counts = field(default_factory=Counts)
+    ended_first: str = ""
+    stable: Bool[np.ndarray, " k"] | None = None
+    labels: Labels | None = None
 
     @property
     def message(self) -> str:
-        """The reason why the branch ended, with a remedy."""
+        """The reason why the branch ended, with a remedy; for both ends if both were followed."""
         by_itself = self.ended == "stopped" and self.reason
-        return f"The branch ends here: {self.reason}." if by_itself else ENDINGS[self.ended]
+        last = f"The branch ends here: {self.reason}." if by_itself else ENDINGS[self.ended]
+        first = ENDINGS.get(self.ended_first, "")
+        if not first or first == last:
+            return last
+        return f"At the first point: {first} At the last point: {last}"
 
     def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:
         """The special points of one kind: "fold", "branch point", or the name of a test."""
@@ -153,7 +175,10 @@ class Branch(Printed):
 
         **Returns:** the coordinate `p` (point); `u` (point, unknown), `arclength` and `residual`
         (point); for special points the variables of `special_variables` and `special_u` (special,
-        unknown); the attributes `parameter`, `ended` and `message`.
+        unknown); the attributes `parameter`, `ended` and `message`.  Of equilibria the parameter
+        and the parts of u have their own names, such as `belt_speed` and `displacement` (point,
+        oscillator), with the mean over several oscillators, such as `mean_displacement` (point);
+        and there is `stable` (point).
 
         !!! example
 
@@ -170,19 +195,87 @@ class Branch(Printed):
 
         points = [(point.kind, point.p, point.error) for point in self.special]
         more = [(point.index, point.refined) for point in self.special]
-        special = special_variables(points, more)
+        name, attrs, parts = self.labels or ("p", {"long_name": "parameter p"}, {})
+        special = special_variables(points, more, attrs.get("units", "1"))
         u = np.reshape([point.u for point in self.special], (-1, self.u.shape[1]))
+        if parts:
+            columns, coords = self._parts(u, parts)
+        else:
+            columns, coords = (
+                {
+                    "u": (("point", "unknown"), self.u, {"long_name": "unknowns u"}),
+                    "special_u": (("special", "unknown"), u, {"long_name": "unknowns u there"}),
+                },
+                {},
+            )
+        if self.stable is not None:
+            text = "whether all eigenvalues have negative real parts"
+            columns["stable"] = ("point", self.stable, {"long_name": text})
         return Dataset(
             {
-                "u": (("point", "unknown"), self.u, {"long_name": "unknowns u"}),
+                **columns,
                 "arclength": ("point", self.arclength, {"long_name": "length along the branch"}),
                 "residual": ("point", self.residuals, {"long_name": "greatest |F|, last but one"}),
                 **special,
-                "special_u": (("special", "unknown"), u, {"long_name": "unknowns u there"}),
             },
-            coords={"p": ("point", self.p, {"long_name": "parameter p"})},
-            attrs={"parameter": "p", "ended": self.ended, "message": self.message},
+            coords={name: ("point", self.p, attrs), **coords},
+            attrs={
+                "parameter": name,
+                "ended": self.ended,
+                "message": self.message,
+                **({"ended_first": self.ended_first} if self.ended_first else {}),
+            },
         )
+
+    def _parts(
+        self, special: np.ndarray, parts: Mapping[str, Mapping[str, str]]
+    ) -> tuple[dict[str, tuple], dict[str, tuple]]:
+        """The parts of u at points and special points as variables, and their coordinate."""
+        columns: dict[str, tuple] = {}
+        n = self.u.shape[1] // len(parts)
+        for prefix, dim, u in (("", "point", self.u), ("special_", "special", special)):
+            for i, (name, attrs) in enumerate(parts.items()):
+                part = u[:, i * n : (i + 1) * n]
+                columns[prefix + name] = ((dim, "oscillator"), part, attrs)
+                if n > 1:
+                    mean = {**attrs, "long_name": f"mean {attrs['long_name']}"}
+                    columns[f"{prefix}mean_{name}"] = (dim, part.mean(axis=1), mean)
+        oscillators = np.arange(1, n + 1), {"long_name": "oscillator n"}
+        return columns, {"oscillator": ("oscillator", *oscillators)}
+
+
+def joined(back: Branch, ahead: Branch) -> Branch:
+    """One branch of two that leave the same first point in opposite directions."""
+    before, length = len(back.p) - 1, back.arclength[-1]
+
+    def both(one: np.ndarray, other: np.ndarray, sign: float = 1.0) -> np.ndarray:
+        return np.concatenate([sign * one[:0:-1], other])
+
+    special = [
+        replace(
+            point,
+            index=before - 1 - point.index,
+            arclength=length - point.arclength,
+            tangent=-point.tangent,
+        )
+        for point in reversed(back.special)
+    ] + [
+        replace(point, index=before + point.index, arclength=length + point.arclength)
+        for point in ahead.special
+    ]
+    counts = {name: n + getattr(back.counts, name) for name, n in vars(ahead.counts).items()}
+    return replace(
+        ahead,
+        u=both(back.u, ahead.u),
+        p=both(back.p, ahead.p),
+        arclength=both(length - back.arclength, length + ahead.arclength),
+        tangents=both(back.tangents, ahead.tangents, -1.0),
+        residuals=both(back.residuals, ahead.residuals),
+        extra=jax.tree.map(both, back.extra, ahead.extra),
+        special=tuple(special),
+        ended_first=back.ended,
+        counts=Counts(**counts),
+    )
 
 
 def special_variables(

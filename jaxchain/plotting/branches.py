@@ -30,6 +30,8 @@ from .style import (
 )
 
 DASHES: Any = (0, (3, 1.5))
+# The relative change of a variable that counts as constant.
+_FLAT = 1e-9
 # Parts of the curve from one point of a branch to the next.
 PARTS = 12
 # Special points: marker, colour and name, in the order of the legend.
@@ -338,7 +340,7 @@ def _height(data: xr.Dataset, y: Any) -> str:
     if y is None:
         several = data.sizes.get("oscillator", 1) > 1
         names = ("energy", "amplitude", "u") if several else ("amplitude", "energy", "u")
-        y = next((name for name in names if name in data), None)
+        y = next((name for name in names if name in data), None) or _first_line(data)
     if not isinstance(y, str) or y not in data or "point" not in data[y].dims:
         allowed = sorted(str(name) for name in data if "point" in data[name].dims)
         raise ValueError(
@@ -346,6 +348,17 @@ def _height(data: xr.Dataset, y: Any) -> str:
             f"is {shown(y)}."
         )
     return y
+
+
+def _first_line(data: xr.Dataset) -> str | None:
+    """A component of equilibria, or the mean of one, by default the first one that changes."""
+    lines = {
+        str(name): values.values
+        for name, values in data.items()
+        if f"special_{name}" in data and values.size == data.sizes["point"]
+    }
+    changes = (name for name, v in lines.items() if np.ptp(v) > _FLAT * (1.0 + np.max(np.abs(v))))
+    return next(changes, next(iter(lines), None))
 
 
 def _line(data: xr.Dataset, y: str) -> xr.DataArray:

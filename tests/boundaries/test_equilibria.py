@@ -8,6 +8,7 @@ import pytest
 from jaxchain import find_limit_cycle, hopf_belt_speed, paper_chain, steady_sliding
 from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
 from jaxchain.model import AbstractCells
+from jaxchain.plotting import plot_branch
 
 
 class Brusselator(AbstractCells):
@@ -100,6 +101,45 @@ def test_a_branch_turns_at_its_folds():
     assert folds == pytest.approx([2 / 27**0.5, -2 / 27**0.5], abs=1e-9)
     assert not branch.of_kind("hopf")  # real eigenvalues pass 0, and their sum, too
     assert branch.p[-1] == pytest.approx(0.7)
+
+
+def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
+    cells = Bistable(jnp.asarray(-0.2))
+    branch = continue_equilibrium(cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7))
+    assert (branch.ended_first, branch.ended) == ("left_bounds", "left_bounds")
+    assert (branch.p[0], branch.p[-1]) == (-0.7, 0.7)
+    assert np.all(np.diff(branch.arclength) > 0)
+    assert np.max(np.abs(np.diff(branch.p))) < 0.03  # of a range of 1.4
+    x = branch.u[:, 0]
+    np.testing.assert_allclose(branch.p, x**3 - x, atol=1e-9)
+    np.testing.assert_array_equal(branch.stable, 3 * x**2 > 1)
+    for fold in branch.of_kind("fold"):
+        assert x[fold.index] < fold.u[0] < x[fold.index + 1]
+        assert branch.arclength[fold.index] < fold.arclength < branch.arclength[fold.index + 1]
+        np.testing.assert_allclose(fold.tangent[1:], [0.0, 0.0], atol=1e-6)
+        assert fold.tangent[0] > 0
+    axes = plot_branch(branch)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("p (–)", "component 0 (–)")
+    legend = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert legend == ["stable", "unstable", "fold"]
+    one_way = continue_equilibrium(
+        cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7), direction=-1
+    )
+    assert (one_way.p[0], one_way.p[-1], one_way.ended_first) == (-0.2, -0.7, "")
+
+
+def test_a_branch_of_several_masses_is_drawn_by_the_mean_in_its_units():
+    chain = paper_chain(3, belt_speed=1.0, width=1e-2)
+    branch = continue_equilibrium(chain, steady_sliding(chain), "belt_speed", (0.5, 2.0))
+    axes = plot_branch(branch)
+    assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
+    assert axes.get_ylabel() == "mean displacement (–)"
+    (point,) = branch.of_kind("hopf")
+    assert point.p == pytest.approx(float(hopf_belt_speed(chain)), abs=1e-9)
+    stable = branch.to_dataset().stable
+    np.testing.assert_array_equal(stable, stable.belt_speed > point.p)
+    with pytest.raises(ValueError, match=r"around `belt_speed` = 1 of the chain"):
+        continue_equilibrium(chain, steady_sliding(chain), "belt_speed", (1.5, 2.0))
 
 
 def test_failures_are_named():
