@@ -442,9 +442,8 @@ def continue_equilibrium(
         [('hopf', 1.151293)]
     """
     check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
-    state = find_equilibrium(chain, guess).state
+    as_chain(chain, AbstractField)
     _check_parameter(chain, parameter)
-    rates, start = Rates(chain, len(state), parameter), np.concatenate(state)
     p = float(chain.numbers()[parameter])
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
     if not low <= p <= high:
@@ -453,6 +452,8 @@ def continue_equilibrium(
             f"but is {(low, high)}: change one of them, as `chain.with_({parameter}={low:.6g})`."
         )
     check_positive_number("max_step", max_step, "0.02 of the range is usual.")
+    state = find_equilibrium(chain, guess).state
+    rates, start = Rates(chain, len(state), parameter), np.concatenate(state)
     width = high - low if 0.0 < high - low < np.inf else max(abs(p), 1.0)
     size = np.full(start.size, max(1.0, np.max(np.abs(start)))) * start.size**0.5
     options = {

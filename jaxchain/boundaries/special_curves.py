@@ -884,6 +884,9 @@ def continue_special(
         >>> round(float(curve.second[-1]), 9), round(float(curve.first[-1]), 9)
         (0.291637021, 0.26834438)
     """
+    remedy = "`continue_cycle(...).special`, `find_hopf_point` and `find_grazing` have them."
+    given = CyclePoint | SpecialCycle | Grazing | HopfPoint
+    check_kind("point", point, given, "a special point of cycles or a `HopfPoint`", remedy)
     if isinstance(point, CyclePoint) and point.kind == "hopf":
         point = _hopf_of(point)
     equations, U = _equations(point, second)

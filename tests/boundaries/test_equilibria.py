@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from jaxchain import find_limit_cycle, hopf_belt_speed, paper_chain, steady_sliding
-from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
+from jaxchain.boundaries import (
+    continue_equilibrium,
+    continue_special,
+    find_equilibrium,
+    find_hopf_point,
+)
 from jaxchain.model import AbstractCells
 from jaxchain.plotting import plot_branch
 
@@ -120,8 +125,8 @@ def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
         assert fold.tangent[0] > 0
     axes = plot_branch(branch)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("p (–)", "component 0 (–)")
-    legend = [text.get_text() for text in axes.get_legend().get_texts()]
-    assert legend == ["stable", "unstable", "fold"]
+    _, legend = axes.get_legend_handles_labels()
+    assert set(legend) == {"stable", "unstable", "fold"}
     one_way = continue_equilibrium(
         cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7), direction=-1
     )
@@ -136,6 +141,8 @@ def test_a_branch_of_several_masses_is_drawn_by_the_mean_in_its_units():
     assert axes.get_ylabel() == "mean displacement (–)"
     (point,) = branch.of_kind("hopf")
     assert point.p == pytest.approx(float(hopf_belt_speed(chain)), abs=1e-9)
+    with pytest.raises(ValueError, match="`find_hopf_point` and"):
+        continue_special(point, "damping_ratio")
     stable = branch.to_dataset().stable
     np.testing.assert_array_equal(stable, stable.belt_speed > point.p)
     with pytest.raises(ValueError, match=r"around `belt_speed` = 1 of the chain"):
