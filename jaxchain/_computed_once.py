@@ -5,10 +5,9 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.experimental.xla_metadata import set_xla_metadata
-from jax.extend.core import Primitive
-from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Float
+
+from ._internals import attempt, new_operation, rules, set_xla_metadata
 
 
 def materialize(x: Array, flat: bool = False) -> Array:
@@ -23,12 +22,12 @@ def materialize(x: Array, flat: bool = False) -> Array:
     unrolls, and then often without SIMD.  What x depends on should have one number for each mass:
     for others the index of the one loop is divided into run and mass.  See `spread`.
     """
-    return _materialize.bind(x, flat=flat, alone=True)
+    return _materialize(x, flat=flat, alone=True)
 
 
 def flatten(x: Array) -> Array:
     """x itself, in a batch computed once and `flat`: see `materialize`."""
-    return _materialize.bind(x, flat=True, alone=False)
+    return _materialize(x, flat=True, alone=False)
 
 
 def spread(x: Any, like: Float[Array, " n"]) -> Float[Array, " n"]:
@@ -36,7 +35,7 @@ def spread(x: Any, like: Float[Array, " n"]) -> Float[Array, " n"]:
 
     A single number of all runs is not: each loop takes it as it is.
     """
-    return _spread.bind(jnp.asarray(x), like)
+    return _spread(jnp.asarray(x), like)
 
 
 def _called(x: Any, flat: bool, alone: bool) -> Any:
@@ -47,17 +46,26 @@ def _called(x: Any, flat: bool, alone: bool) -> Any:
         return same(x.reshape(-1)).reshape(x.shape) if flat else same(x)
 
 
-_materialize = Primitive("materialize")
-_materialize.def_impl(lambda x, **_: x)
-_materialize.def_abstract_eval(lambda x, **_: x)
-mlir.register_lowering(_materialize, lambda _, x, **__: [x])
-mlir.register_lowering(_materialize, mlir.lower_fun(_called, False), platform="cpu")
-ad.deflinear(_materialize, lambda slope, **how: [_materialize.bind(slope, **how)])
-batching.defvectorized(_materialize)
-
-
 def _broadcast(x: Any, like: Any) -> Any:
     return jnp.broadcast_to(x, like.shape)
+
+
+def _operations() -> tuple[Any, Any]:
+    """(materialize, spread) as operations of JAX."""
+    materialize, spread, of = new_operation("materialize"), new_operation("spread"), rules()
+    ad, batching, mlir = of.ad, of.batching, of.mlir
+    materialize.def_impl(lambda x, **_: x)
+    materialize.def_abstract_eval(lambda x, **_: x)
+    mlir.register_lowering(materialize, lambda _, x, **__: [x])
+    mlir.register_lowering(materialize, mlir.lower_fun(_called, False), platform="cpu")
+    ad.deflinear(materialize, lambda slope, **how: [materialize.bind(slope, **how)])
+    batching.defvectorized(materialize)
+    spread.def_impl(_broadcast)
+    spread.def_abstract_eval(lambda x, like: like.update(dtype=x.dtype, weak_type=False))
+    mlir.register_lowering(spread, mlir.lower_fun(_broadcast, False))
+    ad.defjvp(spread, lambda slope, x, like: _broadcast(slope, like), None)
+    batching.primitive_batchers[spread] = _spread_in_batch
+    return materialize.bind, spread.bind
 
 
 def _spread_in_batch(arguments: Any, axes: Any) -> tuple[Any, Any]:
@@ -69,12 +77,10 @@ def _spread_in_batch(arguments: Any, axes: Any) -> tuple[Any, Any]:
     spread = jnp.broadcast_to(x, (size, *shape))
     if of_x is None and x.size == 1:
         return spread, 0
-    return _materialize.bind(spread, flat=False, alone=False), 0
+    return _materialize(spread, flat=False, alone=False), 0
 
 
-_spread = Primitive("spread")
-_spread.def_impl(_broadcast)
-_spread.def_abstract_eval(lambda x, like: like.update(dtype=x.dtype, weak_type=False))
-mlir.register_lowering(_spread, mlir.lower_fun(_broadcast, False))
-ad.defjvp(_spread, lambda slope, x, like: _broadcast(slope, like), None)
-batching.primitive_batchers[_spread] = _spread_in_batch
+# Fallback: the same numbers, computed as often as XLA chooses.
+_materialize, _spread = attempt(
+    "arrays computed once", _operations, (lambda x, **_: x, _broadcast)
+)

@@ -17,8 +17,8 @@ _OPTION = "xla_cpu_small_while_loop_byte_threshold"
 # The older emitters of what is outside loops compile a first fold in a tenth less time.
 _WHOLE = f"{_OPTION}=1000000000,xla_cpu_disable_new_fusion_emitters=true"
 # LLVM takes 256 bits on CPUs with instructions of 512. A jaxlib that does not know the word ends
-# the process, so only those that were tried get it.
-_WIDTH, _TRIED = "--xla_cpu_prefer_vector_width=", (0, 10)
+# the process, so only those that were tried get it; the tests say whether the newest does.
+_WIDTH, _TRIED = "--xla_cpu_prefer_vector_width=", (0, 12)
 # Other ways to set the number of CPU devices.
 _DEVICES = ("xla_force_host_platform_device_count", "JAX_NUM_CPU_DEVICES")
 
@@ -39,7 +39,7 @@ def configure(
     3. small loops compiled whole, with the widest instructions of the CPU (options of XLA, added
        to the environment variable `XLA_FLAGS`): a single run, fold or cycle takes a third of the
        time, the first one a tenth less, a batch of runs three quarters where the CPU has AVX-512,
-       and results agree to rounding.  Tried with jax 0.10.2.
+       and results agree to rounding.  Tried with jax 0.10.2 and 0.12.0.
 
     Settings of the environment, or of an earlier call, take precedence.
 
@@ -120,8 +120,9 @@ def _keep_programs(root: Path) -> None:
     may lack some of its instructions.
     """
     import jax
-    from jax.experimental.compilation_cache import compilation_cache
     from jaxlib.version import __version__
+
+    from ._internals import forget_cache
 
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         kind = hashlib.sha256(_cpu().encode()).hexdigest()[:12]
@@ -131,7 +132,7 @@ def _keep_programs(root: Path) -> None:
         if getattr(jax.config, "jax_compilation_cache_dir") != str(folder):  # noqa: B009
             jax.config.update("jax_compilation_cache_dir", str(folder))
             # If something was compiled before, JAX has already decided not to use a cache.
-            compilation_cache.reset_cache()
+            forget_cache()
     # By default JAX keeps programs that took a second, not the dozens that take 20 to 60 ms.
     for name, usual, always in (
         ("jax_persistent_cache_min_compile_time_secs", 1.0, 0.0),

@@ -14,17 +14,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import compress
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.core
-import jax.extend.core
 import jax.numpy as jnp
 import jax.tree_util as jtu
-from jax.interpreters import ad, batching, mlir
-from jax.interpreters import partial_eval as pe
+
+from ._internals import (
+    attempt,
+    new_mapped_operation,
+    new_operation,
+    nondifferentiable_backward,
+    rules,
+    traced,
+    uses_operation,
+)
 
 Flat = Callable[..., list[Any]]  # arrays to arrays
 
@@ -50,6 +56,9 @@ def both_ways(
     **Arguments:** functions that compute the same of one pytree, and hold no traced numbers
     besides it.  Derivatives in forward mode are those of `tangent`, or if it is None of `forward`.
     """
+    if _operations is None:  # then in forward mode only
+        return (forward if tangent is None else tangent)(args)
+    operations = _operations
     arrays, static = eqx.partition(args, eqx.is_array)
     leaves, treedef = jtu.tree_flatten(arrays)
     shape: list[Any] = []  # of the output: known after tracing
@@ -69,7 +78,7 @@ def both_ways(
 
     @eqx.filter_custom_jvp
     def call(leaves: list[Any]) -> list[Any]:
-        return _values.bind(*leaves, first=first)
+        return operations.values.bind(*leaves, first=first)
 
     @call.def_jvp
     def _(primals: Any, tangents: Any) -> tuple[list[Any], list[Any]]:
@@ -77,7 +86,7 @@ def both_ways(
         moved = [change is not None for change in changes]
         inputs = [*leaves, *compress(changes, moved)]
         ways = _Ways(second, moved, _pair_of(along, moved), inputs)
-        outs = _pair.bind(*inputs, ways=ways)
+        outs = operations.pair.bind(*inputs, ways=ways)
         values, slopes = outs[: ways.values], iter(outs[ways.values :])
         return values, [next(slopes) if eqx.is_inexact_array(v) else None for v in values]
 
@@ -97,8 +106,7 @@ def _traced_once(function: Flat) -> Flat:
     def run(*args: Any) -> list[Any]:
         kinds = tuple(map(jax.typeof, args))
         if kinds not in programs:
-            traced = jax.extend.core.jaxpr_as_fun(jax.make_jaxpr(function)(*kinds))
-            programs[kinds] = jax.jit(traced, inline=True)
+            programs[kinds] = jax.jit(traced(function, *kinds), inline=True)
         return programs[kinds](*args)
 
     return run
@@ -196,6 +204,7 @@ def _forward_again(run: Callable[..., list[Any]]) -> Callable[..., Any]:
     """Higher derivatives: those of the first program."""
 
     def rule(primals: Any, tangents: Any, **params: Any) -> tuple[list[Any], list[Any]]:
+        ad = rules().ad
         moved = [type(t) is not ad.Zero for t in tangents]
         function = _of(lambda *args: run(*args, **params), primals, moved)
         at = list(compress(primals, moved))
@@ -235,7 +244,7 @@ def _many_pairs(args: Any, dims: Any, *, ways: _Ways) -> tuple[list[Any], list[A
     pair = _traced_once(jax.vmap(ways.pair, [*axes, *of_tangents], out_axes))
     inputs = [*arguments, *tangents]
     many = _Ways(second, ways.moved, pair, inputs)
-    return _pair.bind(*inputs, ways=many), out_axes
+    return _operations.pair.bind(*inputs, ways=many), out_axes
 
 
 def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
@@ -244,22 +253,23 @@ def _fall_apart(trace: Any, *tracers: Any, ways: _Ways) -> list[Any]:
     values = [argument.pval.get_known() for argument in arguments]
     linear = any(not tangent.is_known() for tangent in tangents)
     if ways.second is None or not linear or any(value is None for value in values):
-        return trace.default_process_primitive(_pair, tracers, {"ways": ways})
+        return trace.default_process_primitive(_operations.pair, tracers, {"ways": ways})
     forth = _Forth(ways.second, ways.moved, values)
-    outputs = _once(_forth.bind(*values, forth=forth))
+    outputs = _once(_operations.forth.bind(*values, forth=forth))
     out, checkpoints = outputs[: ways.values], outputs[ways.values :]
     params = {"ways": ways, "back": forth.back}
     inputs = [*tracers, *checkpoints]
-    return [*out, *trace.default_process_primitive(_linear, inputs, params)]
+    return [*out, *trace.default_process_primitive(_operations.linear, inputs, params)]
 
 
 def _once(tree: Any) -> Any:
     """Identity that raises a helpful error under reverse-mode differentiation."""
     numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
-    return eqx.combine(eqxi.nondifferentiable_backward(numbers, msg=_BACK_TWICE), rest)
+    return eqx.combine(nondifferentiable_backward(numbers, msg=_BACK_TWICE), rest)
 
 
 def _go_back(cotangents: Any, *args: Any, ways: _Ways, back: Any) -> list[Any]:
+    ad = rules().ad
     arguments, tangents, checkpoints = ways.split(args)
     real = ways.shapes[ways.values :]
     outputs = _once(
@@ -283,48 +293,57 @@ def _derivative_of_forth(
 
     JAX would report this error elsewhere, without this context.
     """
-    moved = [type(t) is not ad.Zero for t in tangents]
+    moved = [type(t) is not rules().ad.Zero for t in tangents]
     function = _of(forth.run, primals, moved)
     at, slopes = list(compress(primals, moved)), list(compress(tangents, moved))
 
     def along(*both: Any) -> Any:
         return jax.jvp(function, both[: len(at)], both[len(at) :], has_aux=True)[1]
 
-    if "custom_lin" in str(jax.make_jaxpr(along)(*at, *slopes)):
+    if uses_operation(jax.make_jaxpr(along)(*at, *slopes), "custom_lin"):
         raise NotImplementedError(_FORWARD_TWICE)
     return _forward_again(_run_forth)(primals, tangents, forth=forth)
 
 
-# Under `vmap` all values have an axis or none has, as in `_pair`: `custom_jvp` needs that.
-_values = eqxi.create_vprim(
-    "both_ways_values",
-    _run_values,
-    lambda *args, first: _shapes(first, args),
-    _forward_again(_run_values),
-    None,
-)
+class _Operations(NamedTuple):
+    values: Any
+    pair: Any
+    forth: Any
+    linear: Any
 
-_pair = jax.extend.core.Primitive("both_ways")
-_pair.multiple_results = True
-_pair.def_impl(_run_pair)
-_pair.def_abstract_eval(lambda *_, ways: ways.shapes)
-mlir.register_lowering(_pair, mlir.lower_fun(_run_pair, multiple_results=True))
-ad.primitive_jvps[_pair] = _forward_again(_run_pair)
-batching.primitive_batchers[_pair] = _many_pairs
-pe.custom_partial_eval_rules[_pair] = _fall_apart
 
-_forth = eqxi.create_vprim(
-    "both_ways_forth",
-    _run_forth,
-    lambda *_, forth: forth.shapes,
-    _derivative_of_forth,
-    None,
-)
+def _register() -> _Operations:
+    of, pair = rules(), new_operation("both_ways")
+    pair.multiple_results = True
+    pair.def_impl(_run_pair)
+    pair.def_abstract_eval(lambda *_, ways: ways.shapes)
+    of.mlir.register_lowering(pair, of.mlir.lower_fun(_run_pair, multiple_results=True))
+    of.ad.primitive_jvps[pair] = _forward_again(_run_pair)
+    of.batching.primitive_batchers[pair] = _many_pairs
+    of.partial_eval.custom_partial_eval_rules[pair] = _fall_apart
+    # Under `vmap` all values have an axis or none has, as in `pair`: `custom_jvp` needs that.
+    values = new_mapped_operation(
+        "both_ways_values",
+        _run_values,
+        lambda *args, first: _shapes(first, args),
+        _forward_again(_run_values),
+        None,
+    )
+    forth = new_mapped_operation(
+        "both_ways_forth",
+        _run_forth,
+        lambda *_, forth: forth.shapes,
+        _derivative_of_forth,
+        None,
+    )
+    linear = new_mapped_operation(
+        "both_ways_linear",
+        _run_linear,
+        lambda *_, ways, back: ways.shapes[ways.values :],
+        _forward_again(_run_linear),
+        _go_back,
+    )
+    return _Operations(values, pair, forth, linear)
 
-_linear = eqxi.create_vprim(
-    "both_ways_linear",
-    _run_linear,
-    lambda *_, ways, back: ways.shapes[ways.values :],
-    _forward_again(_run_linear),
-    _go_back,
-)
+
+_operations: Any = attempt("derivatives in both modes", _register)

@@ -12,7 +12,6 @@ from collections.abc import Mapping
 from typing import Any, Literal
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -30,6 +29,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
+from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
@@ -258,7 +258,7 @@ class VibratingMasses(AbstractClassifier):
         over = step.t1 >= now.ends
         # One branch for the whole batch; lanes whose window is not over do not change.
         look = lambda: self._look(now, step)  # noqa: E731
-        looked = lax.cond(eqxi.unvmap_any(over), look, lambda: now)
+        looked = lax.cond(unvmap_any(over), look, lambda: now)
         return where(over, looked, now)
 
     def _look(self, now: _Looking, step: Step) -> _Looking:

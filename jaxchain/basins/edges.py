@@ -10,7 +10,6 @@ from typing import Any, TypeAlias
 
 import diffrax as dfx
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -18,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_kind, check_positive_number, is_traced, shown, to_float
 from .._final import final
+from .._internals import nondifferentiable
 from .._types import State
 from ..cycles.floquet import LimitCycle, can_be_cycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
@@ -577,7 +577,7 @@ def _count(time: Any, window: Any) -> int:
 
 @eqx.filter_jit
 def _edge(chain: AbstractField, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
-    frozen, quiet, vibrating = eqxi.nondifferentiable(
+    frozen, quiet, vibrating = nondifferentiable(
         (chain, quiet, vibrating),
         msg="`edge_state` has no derivatives: find the edge state outside the differentiated "
         "function, and inside it the cycle, `find_limit_cycle(chain, (edge.state, "

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
@@ -17,6 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, PyTree
 
 from .._checks import as_array, check_function
+from .._internals import nondifferentiable
 
 Residual = Callable[[Float[Array, " m"], PyTree], Float[Array, " m"]]
 
@@ -74,7 +74,7 @@ def _attach_jvp(
     if once is None:
         u = _attach(solution, parameters, residual=residual, once=once)
     else:
-        u, parameters = eqxi.nondifferentiable((solution, parameters), msg=once)
+        u, parameters = nondifferentiable((solution, parameters), msg=once)
     leaves, treedef = jtu.tree_flatten(parameters)
     moved = treedef.flatten_up_to(directions)
     which = [k for k, direction in enumerate(moved) if direction is not None]

@@ -20,13 +20,13 @@ from typing import Any, NamedTuple
 
 import diffrax as dfx
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from ..observers.base import AbstractObserver, Step, gauss
@@ -194,7 +194,7 @@ class Returns(AbstractObserver):
 
             return lax.stop_gradient(jax.vmap(away, (0, axis))(thetas, goals))
 
-        apart = lax.cond(eqxi.unvmap_any(here), look, lambda: previous.apart)
+        apart = lax.cond(unvmap_any(here), look, lambda: previous.apart)
         farthest = jnp.maximum(previous.farthest, _distance(end, start))
         return times, begun, Returned(jnp.where(here, apart, previous.apart), farthest)
 

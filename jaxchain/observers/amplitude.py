@@ -6,13 +6,13 @@ import functools
 from typing import Any, Literal
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._final import final
+from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from .base import AbstractObserver, Step, Variable, renamed, window_fits
@@ -149,7 +149,7 @@ class Amplitude(AbstractObserver):
 
         # One branch for the whole batch, and nothing else before the first window.
         nothing = lambda: (acc.low, acc.high)  # noqa: E731
-        low, high = lax.cond(eqxi.unvmap_any(watching), with_peaks, nothing)
+        low, high = lax.cond(unvmap_any(watching), with_peaks, nothing)
         rest = None if acc.rest is None else self._rest(counts, acc.rest, step)
         history = None
         if acc.rest is not None and acc.history is not None:
@@ -174,7 +174,7 @@ class Amplitude(AbstractObserver):
             attracts = step.field.attracts(step.t1, step.y1)
             return attracts & (motion < self.quiet_below)
 
-        quiet = lax.cond(eqxi.unvmap_any(over), look, lambda: jnp.asarray(False))
+        quiet = lax.cond(unvmap_any(over), look, lambda: jnp.asarray(False))
         window = 0.0 if self.window is None else self.window
         return _Rest(
             boundary=jnp.where(over, rest.boundary + window, rest.boundary),

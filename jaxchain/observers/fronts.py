@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import Any
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import as_array, check_positive_number, check_share, check_whole, to_float
 from .._final import final
+from .._internals import unvmap_any
 from .._statistics import student_reach
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
@@ -173,7 +173,7 @@ class FrontTrack(AbstractObserver):
             here = over & (jnp.arange(self.windows) == acc.index)
             return jax.tree.map(lambda all, now: jnp.where(here, now, all), acc.fronts, fronts)
 
-        fronts = lax.cond(eqxi.unvmap_any(over), closed, lambda: acc.fronts)
+        fronts = lax.cond(unvmap_any(over), closed, lambda: acc.fronts)
         return _Watch(
             jnp.where(over, end, low),
             jnp.where(over, end, high),

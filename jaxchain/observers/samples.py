@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
@@ -30,6 +29,7 @@ from .._checks import (
 from .._computed_once import materialize
 from .._derivatives import both_ways
 from .._final import final
+from .._internals import unvmap_any, while_loop
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from .base import AbstractNotingObserver, Step, Variable, states_at_times
@@ -191,7 +191,7 @@ class Samples(AbstractNotingObserver):
 
             return loop(within, keep, (accumulator.count, accumulator.parts))
 
-        back = partial(eqxi.while_loop, kind="checkpointed", max_steps=self.capacity)
+        back = partial(while_loop, kind="checkpointed", max_steps=self.capacity)
         args = accumulator, self.interval, step.t0, length, state_at
         count, parts = both_ways(partial(fill, lax.while_loop), partial(fill, back), args)
         return _Samples(accumulator.first, count, parts)
@@ -220,7 +220,7 @@ class Samples(AbstractNotingObserver):
             return place, time, (time <= end) & (place < self.capacity)
 
         def any_left(kept: _Samples) -> Array:
-            return eqxi.unvmap_any(block(kept)[2])
+            return unvmap_any(block(kept)[2])
 
         def keep(kept: _Samples) -> _Samples:
             place, time, here = block(kept)

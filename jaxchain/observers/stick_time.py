@@ -6,7 +6,6 @@ from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -14,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from .._checks import check_positive_number, to_float
 from .._final import final
+from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from .base import AbstractObserver, Step, Variable, window_fits, zeros
@@ -74,7 +74,7 @@ class StickTime(AbstractObserver):
             )
             return jnp.maximum(end - jnp.maximum(begin, clipped), 0.0) * (step.t1 - step.t0)
 
-        gained = lax.cond(eqxi.unvmap_any(watching), time, lambda: jnp.zeros_like(total))
+        gained = lax.cond(unvmap_any(watching), time, lambda: jnp.zeros_like(total))
         return jnp.where(watching, total + gained, total), start
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:

@@ -20,7 +20,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeGuard
 
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
@@ -30,6 +29,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_whole, to_float
 from .._computed_once import materialize, spread
 from .._final import final
+from .._internals import unvmap_any
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.chain import Chain
@@ -83,7 +83,7 @@ def in_rounds(
     """
 
     def any_goes_on(carry: Any) -> Bool[Array, ""]:
-        return eqxi.unvmap_any(goes_on(carry))
+        return unvmap_any(goes_on(carry))
 
     def more(inner: Any) -> Bool[Array, ""]:
         return (inner[0] < ROUND) & any_goes_on(inner[1])

@@ -12,13 +12,13 @@ from typing import Any, Literal
 
 import diffrax as dfx
 import equinox as eqx
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from .._internals import buffer_at_set, nondifferentiable_backward, unvmap_any, while_loop
 from .._types import State
 from ..model.cells import AbstractField
 from ..observers.base import AbstractObserver
@@ -38,7 +38,7 @@ _FORWARD = (
 def forward_only(tree: Any) -> Any:
     """Identity that raises a helpful error under reverse-mode differentiation."""
     numbers, rest = eqx.partition(tree, eqx.is_inexact_array)
-    return eqx.combine(eqxi.nondifferentiable_backward(numbers, msg=_FORWARD), rest)
+    return eqx.combine(nondifferentiable_backward(numbers, msg=_FORWARD), rest)
 
 
 class Progress(eqx.Module):
@@ -85,7 +85,7 @@ class StateRecord(eqx.Module):
         place = jnp.minimum(self.count, self.times.shape[0] - 1)
         # In reverse mode these are buffers, which must be written in this form.
         states = tuple(
-            eqxi.buffer_at_set(kept, place, now, pred=here)
+            buffer_at_set(kept, place, now, pred=here)
             for kept, now in zip(self.states, state, strict=True)
         )
         count = jnp.where(here, self.following[place], self.count)
@@ -153,12 +153,12 @@ def loop(
     kind = kind_of_loop(adjoint)
     if kind == "lax" and not jtu.tree_leaves(buffers(carry)):
         return lax.while_loop(
-            lambda carry: eqxi.unvmap_any(goes_on(carry)),
+            lambda carry: unvmap_any(goes_on(carry)),
             lambda carry: body(carry, in_loop(goes_on(carry))),
             carry,
         )
     checkpoints = (adjoint.checkpoints or CHECKPOINTS) if kind == "checkpointed" else None
-    return eqxi.while_loop(
+    return while_loop(
         goes_on,
         lambda carry: body(carry, True),
         carry,

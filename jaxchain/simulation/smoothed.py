@@ -11,7 +11,6 @@ from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
-import equinox.internal as eqxi
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import optimistix as optx
@@ -20,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import to_float
 from .._computed_once import materialize
+from .._internals import buffer_at_set, while_loop
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
@@ -97,7 +97,7 @@ def _record(
         t = record.next_time()
         return record.keep(t, inside.evaluate(t))
 
-    return eqxi.while_loop(
+    return while_loop(
         lambda record: kept & (record.next_time() <= t1),
         keep,
         record,
@@ -370,7 +370,7 @@ class SmoothedPlan(AbstractPlan):
                 ahead=end_of_step(new.t, ahead),
                 outcome=outcome,
                 records=[_record(r, kept, t1, inside, adjoint) for r in run.records],
-                ends=[eqxi.buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],
+                ends=[buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],
             )
             same = dataclasses.replace(now, accumulators=accumulators)
             return where(counts, new_run, dataclasses.replace(run, now=same))

@@ -102,6 +102,7 @@ _COUNT = {"dtype": "int64", "_FillValue": -1}
 # The parts of this package that affect numbers, and names of results.
 _CODE = (
     "_computed_once.py",
+    "_internals.py",
     "model",
     "observers",
     "solvers",
