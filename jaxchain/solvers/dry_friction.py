@@ -193,7 +193,12 @@ def _free_series(chain: Dry, t: Any, x: list, v: list) -> Callable[[int], tuple[
             return cells.free_acceleration(t, y[:m], y[m : 2 * m], y[2 * m :])
 
         clock = PowerSeries(lambda k: jnp.asarray(time[k] if k < 2 else 0.0, float))
-        series = composed(rate, clock, *sides[0], *own, *sides[1])
+        # Displacements go the way of the velocities; accelerations are not known yet.
+        rates = tuple(s[0] for s in v)
+        before, after = cells.neighbours(rates)
+        unknown = (1.0,) * len(v)
+        slopes = (1.0, *before, *unknown, *rates, *unknown, *after, *unknown)
+        series = composed(rate, clock, *sides[0], *own, *sides[1], slopes=slopes)
         return lambda k: tuple(part[k] for part in series)
     springs, n = chain.springs, x[0][0].shape[0]
     damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)

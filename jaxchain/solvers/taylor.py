@@ -12,17 +12,14 @@ import operator
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-import equinox.internal as eqxi
 import jax
 import jax.numpy as jnp
-import jax.tree_util as jtu
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
-from jax.experimental.jet import jet
-from jax.extend.core import ClosedJaxpr, Literal
 from jaxtyping import Array, Bool, Float
 
 from .._computed_once import flatten, materialize, spread
+from .._internals import ClosedJaxpr, Literal, jet, name_of_program, unvmap_all
 
 
 class PowerSeries:
@@ -42,21 +39,24 @@ def composed(
     *arguments: Sequence[Any] | PowerSeries,
     piecewise: bool = False,
     known: Sequence[Any] = (),
+    slopes: Sequence[Any] | None = None,
 ) -> Any:
     """The series of function(s(t)), or of function(s(t), ...) of several arguments.
 
     **Arguments:** `function`, element by element, of one or more arrays, and returning one or a
     tuple; each of `arguments` = s_0, s_1, ..., a list that may grow: c_k of the result asks for
-    s_0 ... s_k.  A single argument is a speed, which is not negative.  `piecewise`: whether the
-    function may choose between cases by the size of s.  It then chooses by s_0 for all orders, or
-    just above s_0 where the cases meet; the caller must limit the range in which this holds.
+    s_0 ... s_k.  A single argument is the speed in a friction law, which is not negative; several
+    are those of a force.  `piecewise`: whether a law may choose between cases by the size of s; a
+    force always may.  It then chooses by s_0 for all orders, or just after s_0 where the cases
+    meet; the caller must limit the range in which this holds.  `slopes`: of each argument a number
+    with the sign of its rate, where that is known; without it, just after s_0 is just above it.
     `known`: what `evaluated` found at s_0; it is computed if missing.
 
-    **Returns:** a `PowerSeries`, or a tuple of them.  If the function uses an operation that is
-    not known here, JAX's Taylor mode is used, which repeats all lower orders for every order.
+    **Returns:** a `PowerSeries`, or a tuple of them.  JAX's Taylor mode expands an operation that
+    is not known here; it repeats all lower orders for every order.
 
-    **Raises:** `ValueError` if it chooses between cases without `piecewise`, or cannot be
-    expanded.
+    **Raises:** `ValueError` if a law chooses between cases without `piecewise`, or if the function
+    cannot be expanded.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -67,14 +67,11 @@ def composed(
     series = [PowerSeries(lambda k, s=s: s[k]) for s in arguments]
     first = [s[0] for s in series]
     traced, shape = jax.make_jaxpr(function, return_shape=True)(*first)
-    above = [a + CLEARANCE * (1.0 + jnp.abs(a)) for a in first]
-    try:
-        results = _Expansion(piecewise, series, known).of(traced, series, above)
-    except NotImplementedError:
-        derivatives = PowerSeries(lambda k: jtu.tree_leaves(_by_jet(function, arguments, k)))
-        results = [
-            PowerSeries(lambda k, i=i: derivatives[k][i]) for i in range(len(traced.out_avals))
-        ]
+    after = [
+        a + jnp.where(jnp.less(slope, 0.0), -CLEARANCE, CLEARANCE) * (1.0 + jnp.abs(a))
+        for a, slope in zip(first, slopes or [1.0] * len(first), strict=True)
+    ]
+    results = _Expansion(piecewise, series, known).of(traced, series, after)
     results = [r if isinstance(r, PowerSeries) else _constant(r) for r in results]
     return tuple(results) if isinstance(shape, tuple) else results[0]
 
@@ -89,50 +86,31 @@ def evaluated(function: Callable[[Array], Array], s: Array) -> tuple[Array, list
     expansion = _Expansion(False, [series])
     try:
         (result,) = expansion.of(jax.make_jaxpr(function)(s), [series], [s])
-    except (NotImplementedError, ValueError):
+    except ValueError:
         return function(s), []
     return _at(result, 0), expansion.costly
 
 
-# Cases are distinguished at this distance above s_0, relative to 1 + s_0.
+# Cases are distinguished at this distance from s_0, relative to 1 + s_0.
 CLEARANCE = 1e-12
-
-
-def _by_jet(function: Callable[..., Any], arguments: Sequence[Any], k: int) -> Any:
-    first = [s[0] for s in arguments]
-    if k == 0:
-        return function(*first)
-    derivatives = [[math.factorial(j) * s[j] for j in range(1, k + 1)] for s in arguments]
-    try:
-        _, series = jet(function, first, derivatives)
-    except (NotImplementedError, KeyError) as error:  # a missing rule is a missing key there
-        raise ValueError(
-            f"A {_what(arguments)} cannot be expanded in a Taylor series: no rule for {error}. "
-            "Write it with other functions, or use smoothed friction."
-        ) from error
-    results = series if isinstance(series, tuple) else (series,)
-    return [terms[k - 1] / math.factorial(k) for terms in results]
-
-
-def _what(arguments: Sequence[Any]) -> str:
-    return "friction law" if len(arguments) == 1 else "force"
 
 
 class _Expansion:
     """Walks through a program, with a series in place of whatever depends on time.
 
-    Every variable also has its value just above s_0, which selects the case.
+    Every variable also has its value just after s_0, which selects the case.
     """
 
     def __init__(
         self, piecewise: bool, arguments: Sequence[PowerSeries], known: Sequence[Any] = ()
     ):
-        self.piecewise, self.arguments = piecewise, arguments
+        self.arguments, self.alone = arguments, len(arguments) == 1
+        self.piecewise = piecewise or not self.alone
         self.known = iter(known)
         self.costly: list[Any] = []  # values at s_0, in the order of the program
 
-    def of(self, program: ClosedJaxpr, inputs: Sequence[Any], above: Sequence[Any]) -> list[Any]:
-        return [series for series, _ in self._run(program, list(zip(inputs, above, strict=True)))]
+    def of(self, program: ClosedJaxpr, inputs: Sequence[Any], after: Sequence[Any]) -> list[Any]:
+        return [series for series, _ in self._run(program, list(zip(inputs, after, strict=True)))]
 
     def _run(self, program: ClosedJaxpr, inputs: Sequence[tuple[Any, Any]]) -> list[Any]:
         values: dict[Any, tuple[Any, Any]] = dict(zip(program.jaxpr.invars, inputs, strict=True))
@@ -146,7 +124,10 @@ class _Expansion:
         for step in program.jaxpr.eqns:
             operands = [read(name) for name in step.invars]
             if step.primitive.name in _CALLS:
-                results = self._run(_inner(step), operands)
+                inner, smooth = _inner(step)
+                given, self.piecewise = self.piecewise, smooth or self.piecewise
+                results = self._run(inner, operands)
+                self.piecewise = given
             elif any(isinstance(series, PowerSeries) for series, _ in operands):
                 results = self._step(step, operands)
             else:
@@ -155,32 +136,30 @@ class _Expansion:
         return [read(name) for name in program.jaxpr.outvars]
 
     def _step(self, step: Any, operands: list[tuple[Any, Any]]) -> list[tuple[Any, Any]]:
-        name, series = step.primitive.name, [a for a, _ in operands]
-        if step.primitive.multiple_results:  # a loop, say
-            raise NotImplementedError(name)
-        here = [a for _, a in operands]
-        above = _values(step, here)
-        decides = name in _STEPS or not jnp.issubdtype(step.outvars[0].aval.dtype, jnp.floating)
-        alone = len(self.arguments) == 1
-        if name == "abs" and alone and series[0] is self.arguments[0]:  # of a speed
+        name, series, here = step.primitive.name, *map(list, zip(*operands, strict=True))
+        if name == "abs" and self.alone and series[0] is self.arguments[0]:  # of a speed
             return [operands[0]]
-        if (decides or name in _CHOICES) and not self.piecewise:
+        # What gives no real numbers finds a case or a place: comparisons, or a search in a table.
+        decides = name in _STEPS or not any(
+            jnp.issubdtype(out.aval.dtype, jnp.floating) for out in step.outvars
+        )
+        if (decides or name in _CHOICES or name in _EXTREMES) and not self.piecewise:
             raise ValueError(
                 f"A friction law chooses between cases by the speed (`{name}`), and a Taylor step "
                 "must not pass from one to the next: give the law the field or property `knots`, "
                 "the speeds > 0 at which it does, or `knots = ()` if mu is smooth all the same."
-                if alone
-                else f"A force chooses between cases (`{name}`), and a Taylor step must not pass "
-                "from one to the next: write a smooth force, or use smoothed friction."
             )
+        after = _values(step, here)
         if decides:
-            return [(value, value) for value in above]
-        if name in _CHOICES:
-            return [(_CHOICES[name](series, here), above[0])]
-        if name in _LINEAR:
-            result = _linear(step, series)
+            return [(value, value) for value in after]
+        if name == "select_n":
+            results = [_chosen(here[0], series[1:])]
+        elif name in _CHOICES:
+            results = [_CHOICES[name](series, here)]
+        elif name in _LINEAR:
+            results = _linear(step, series)
         elif name in _BILINEAR:
-            result = _product(lambda a, b: _values(step, [a, b])[0], *series)
+            results = [_product(lambda a, b: _values(step, [a, b])[0], *series)]
         elif name in _RULES:
             first = next(self.known, None) if name in _COSTLY else None
             if first is None:
@@ -188,22 +167,54 @@ class _Expansion:
             if name in _COSTLY:
                 self.costly.append(first)
             exponent = {"y": step.params["y"]} if name == "integer_pow" else {}
-            result = _RULES[name](first, *series, **exponent)
+            results = [_RULES[name](first, *series, **exponent)]
         else:
-            raise NotImplementedError(name)
-        return [(result, above[0])]
+            results = _by_jet(step, series, "friction law" if self.alone else "force")
+        return list(zip(results, after, strict=True))
 
 
-def _inner(step: Any) -> ClosedJaxpr:
-    """The program inside an operation."""
+def _by_jet(step: Any, operands: Sequence[Any], what: str) -> list[PowerSeries]:
+    """An operation without a rule of its own."""
+    moving = [a for a in operands if isinstance(a, PowerSeries)]
+
+    def function(*values: Any) -> list[Any]:
+        given = iter(values)
+        return _values(step, [next(given) if isinstance(a, PowerSeries) else a for a in operands])
+
+    def rule(k: int) -> list[Any]:
+        first = [a[0] for a in moving]
+        if k == 0:
+            return function(*first)
+        derivatives = [[math.factorial(j) * a[j] for j in range(1, k + 1)] for a in moving]
+        try:
+            _, results = jet(function, first, derivatives)
+        except (NotImplementedError, KeyError) as error:  # a missing rule is a missing key there
+            raise ValueError(
+                f"A {what} cannot be expanded in a Taylor series: no rule for `{step.primitive}`. "
+                "Write it with other functions, or use smoothed friction."
+            ) from error
+        return [terms[k - 1] / math.factorial(k) for terms in results]
+
+    return _each(PowerSeries(rule), step)
+
+
+def _each(results: PowerSeries, step: Any) -> list[PowerSeries]:
+    """A series of lists as a list of series, one for each result of an operation."""
+    return [PowerSeries(lambda k, i=i: results[k][i]) for i in range(len(step.outvars))]
+
+
+def _inner(step: Any) -> tuple[ClosedJaxpr, bool]:
+    """The program inside an operation, and whether it is smooth although it chooses."""
     inner = step.params[_CALLS[step.primitive.name]]
-    return inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+    inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())
+    custom = step.primitive.name == "custom_jvp_call"
+    return inner, custom and name_of_program(inner) in _SMOOTH
 
 
 def _values(step: Any, operands: Sequence[Any]) -> list[Any]:
     """The operation itself."""
     result = step.primitive.bind(*operands, **step.params)
-    return result if step.primitive.multiple_results else [result]
+    return list(result) if step.primitive.multiple_results else [result]
 
 
 def _constant(value: Any) -> PowerSeries:
@@ -217,7 +228,7 @@ def _at(a: Any, k: int) -> Any:
     return a if k == 0 else jnp.zeros_like(a)
 
 
-def _linear(step: Any, operands: Sequence[Any]) -> PowerSeries:
+def _linear(step: Any, operands: Sequence[Any]) -> list[PowerSeries]:
     """An operation that is linear in all operands that are numbers, constants among them."""
 
     def coefficient(a: Any, k: int) -> Any:
@@ -226,17 +237,17 @@ def _linear(step: Any, operands: Sequence[Any]) -> PowerSeries:
         )
         return a if is_index else _at(a, k)
 
-    def rule(k: int) -> Any:
+    def rule(k: int) -> list[Any]:
         if step.primitive.name in ("add", "add_any", "sub") and k:  # no sums with zeros
             first, second = operands
             if not isinstance(second, PowerSeries):
-                return _broadcast(first[k], second)
+                return [_broadcast(first[k], second)]
             if not isinstance(first, PowerSeries):
                 other = -second[k] if step.primitive.name == "sub" else second[k]
-                return _broadcast(other, first)
-        return _values(step, [coefficient(a, k) for a in operands])[0]
+                return [_broadcast(other, first)]
+        return _values(step, [coefficient(a, k) for a in operands])
 
-    return PowerSeries(rule)
+    return _each(PowerSeries(rule), step)
 
 
 def _broadcast(a: Any, like: Any) -> Any:
@@ -369,6 +380,12 @@ def _atan(first: Any, a: PowerSeries) -> PowerSeries:
     return _solved(first, lambda _: _quotient(jnp.ones_like(a[0]), _shifted(_times(a, a), 1.0)), a)
 
 
+def _arc(a: PowerSeries) -> PowerSeries:
+    """1 / sqrt(1 - a^2), the slope of the arc sine."""
+    square = _shifted(_times(a, a), 1.0, -1.0)
+    return _quotient(jnp.ones_like(a[0]), _root(jnp.sqrt(square[0]), square))
+
+
 def _erf(first: Any, a: PowerSeries) -> PowerSeries:
     square = _times(a, a)
     bell = _exp(jnp.exp(-square[0]), PowerSeries(lambda k: -square[k]))
@@ -379,6 +396,13 @@ def _chosen(which: Any, cases: Sequence[Any]) -> PowerSeries:
     return PowerSeries(
         lambda k: jax.lax.select_n(which, *jnp.broadcast_arrays(*(_at(c, k) for c in cases)))
     )
+
+
+def _remainder(series: list[Any], here: list[Any]) -> PowerSeries:
+    """rem(a, b) = a - q b, with q the whole number just after s_0."""
+    (a, b), (a_after, b_after) = series, here
+    q = jnp.round((a_after - jax.lax.rem(a_after, b_after)) / b_after)
+    return PowerSeries(lambda k: _at(a, k) - q * _at(b, k))
 
 
 def _between(series: list[Any], here: list[Any]) -> PowerSeries:
@@ -402,18 +426,25 @@ _CALLS = {
 }
 _LINEAR = {
     "add", "add_any", "sub", "neg", "broadcast_in_dim", "reshape", "squeeze", "transpose",
-    "reduce_sum", "cumsum", "slice", "rev", "concatenate", "pad", "gather", "dynamic_slice",
-    "convert_element_type", "reduce_precision", "copy", "copy_p", "real",
+    "reduce_sum", "cumsum", "slice", "rev", "concatenate", "stack", "unstack", "split", "pad",
+    "gather", "scatter", "scatter-add", "dynamic_slice", "dynamic_update_slice",
+    "convert_element_type", "reduce_precision", "copy", "copy_p", "real", "stop_gradient",
 }  # fmt: skip
 _BILINEAR = {"mul", "dot_general"}
 # Piecewise constant, like everything that is not a real number.
 _STEPS = {"sign", "floor", "ceil", "round"}
-# Each takes the operands as series, and what they are just above s_0.
+# The greatest or least of an array, which is chosen, too, but by JAX's Taylor mode.
+_EXTREMES = {"reduce_max", "reduce_min", "cummax", "cummin"}
+# Functions of JAX that choose between cases only to be accurate: in each case they are the same
+# analytic function, so its series is that of the case.
+_SMOOTH = {"logaddexp", "logaddexp2"}
+# Each takes the operands as series, and what they are just after s_0.
 _CHOICES: dict[str, Callable[[list[Any], list[Any]], PowerSeries]] = {
-    "select_n": lambda series, here: _chosen(here[0], series[1:]),
     "max": lambda series, here: _chosen(here[0] >= here[1], series[::-1]),
     "min": lambda series, here: _chosen(here[0] <= here[1], series[::-1]),
-    "abs": lambda series, here: _times(jnp.sign(here[0]), series[0]),
+    # Not by `sign`: where max(a, b) of a = b is a, |a - b| is a - b.
+    "abs": lambda series, here: _times(jnp.where(here[0] < 0.0, -1.0, 1.0), series[0]),
+    "rem": _remainder,
     "clamp": _between,
 }
 # Each takes the value at s_0 and the operands, series or constants.
@@ -436,6 +467,10 @@ _RULES: dict[str, Callable[..., PowerSeries]] = {
     "sinh": lambda first, a: _pair(first, jnp.cosh(a[0]), 1.0, a)[0],
     "cosh": lambda first, a: _pair(jnp.sinh(a[0]), first, 1.0, a)[1],
     "atan": _atan,
+    "tan": lambda first, a: _solved(first, lambda y: _shifted(_times(y, y), 1.0), a),
+    "asin": lambda first, a: _solved(first, lambda _: _arc(a), a),
+    "acos": lambda first, a: _solved(first, lambda _: _times(-1.0, _arc(a)), a),
+    "cbrt": lambda first, a: _solved(first, lambda y: _times(1.0 / 3.0, _quotient(y, a)), a),
     "erf": _erf,
 }
 # Those whose value at s_0 costs as much as a few orders of their series, which begins with it.
@@ -570,7 +605,7 @@ def first_exit(
         left = end - before
         nearest = jnp.minimum(q - lower + slope * left, upper - q - slope * left)
         inside = nearest - 0.5 * curvature * left**2 > 2.0 * least
-        quiet: Any = eqxi.unvmap_all(jnp.all(inside))
+        quiet: Any = unvmap_all(jnp.all(inside))
         return jax.lax.cond(quiet, lambda: (end, jnp.zeros(lower.shape, bool)), search)
 
     # A GPU would wait for the answer at every step.

@@ -217,9 +217,27 @@ def test_a_law_cannot_have_a_number_of_the_cell():
         ({"normal_load": -1.0}, "Argument `normal_load`"),
         ({"belt_speed": [1.0, 2.0]}, "Argument `belt_speed`"),
         ({"names": ("x",)}, "Argument `names` must have 2 names"),
-        ({"local_force": lambda q, v: (abs(q[0]), q[1])}, "A force chooses between cases"),
+        (
+            {"local_force": lambda q, v: (jax.lax.lgamma(2.0 + q[0] ** 2), q[1])},
+            "A force cannot be expanded in a Taylor series: no rule for `lgamma`",
+        ),
     ],
 )
 def test_bad_parts_are_refused(changes, names):
     with pytest.raises(ValueError, match=names):
         simulate(two_of_each(**changes), START, 1.0)
+
+
+def test_a_force_may_depend_on_the_side_of_a_corner():
+    """While the motion stays on one side it is that of the smooth force there."""
+
+    def end(force):
+        cells = MechanicalCells(
+            1.0, friction=Coulomb(0.1), local_force=lambda q, v: (force(q[0], v[0]),)
+        )
+        return simulate(cells, (jnp.array([0.2]), jnp.array([1.0])), 0.5).state
+
+    corners = end(lambda q, v: -v * jnp.abs(v) - jnp.maximum(q, 0.0) + jax.nn.softplus(q - v))
+    smooth = end(lambda q, v: -v * v - q + jnp.log1p(jnp.exp(q - v)))
+    for one, other in zip(corners, smooth, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)

@@ -50,6 +50,11 @@ FUNCTIONS = {
     "cosh": jnp.cosh,
     "arctangent": jnp.arctan,
     "error function": jax.scipy.special.erf,
+    "tangent": jnp.tan,
+    "arc sine": lambda s: jnp.arcsin(0.5 * s),
+    "arc cosine": lambda s: jnp.arccos(0.5 * s),
+    "cube root": jnp.cbrt,
+    "parts": lambda s: jnp.zeros(2).at[0].set(s[0]).at[1].add(jnp.split(s, 2)[1][0] ** 2),
     "jit": jax.jit(lambda s: jnp.exp(-s)),
     "custom derivative": jax.nn.silu,
     "matrix": lambda s: jnp.array([[1.0, 2.0], [0.5, -1.0]]) @ s,
@@ -63,9 +68,10 @@ def coefficients(function, path=PATH, **options):
     return jnp.stack([jnp.broadcast_to(series[k], (2,)) for k in range(ORDER)])
 
 
-def by_jet(function, path=PATH):
-    derivatives = [math.factorial(k) * c for k, c in enumerate(path)][1:]
-    first, rest = jet(function, (path[0],), (derivatives,))
+def by_jet(function, *paths):
+    paths = paths or (PATH,)
+    derivatives = [[math.factorial(k) * c for k, c in enumerate(p)][1:] for p in paths]
+    first, rest = jet(function, [path[0] for path in paths], derivatives)
     return jnp.stack([first, *(c / math.factorial(k) for k, c in enumerate(rest, start=1))])
 
 
@@ -151,6 +157,92 @@ def test_where_the_cases_meet_that_of_greater_speeds_is_taken():
     path = [jnp.zeros(2), jnp.ones(2), *[jnp.zeros(2)] * (ORDER - 2)]
     kink = coefficients(lambda s: jnp.maximum(0.0, s), path, piecewise=True)
     np.testing.assert_array_equal(kink[1], [1.0, 1.0])
+
+
+# JAX chooses between cases in these, but only to be accurate.
+SMOOTH = {
+    "softplus": (
+        lambda s: jax.nn.softplus(3 * s - 0.9),
+        lambda s: jnp.log1p(jnp.exp(3 * s - 0.9)),
+    ),
+    "where its cases meet": (
+        lambda s: jax.nn.softplus(s - 0.7),
+        lambda s: jnp.log1p(jnp.exp(s - 0.7)),
+    ),
+    "logaddexp": (
+        lambda s: jnp.logaddexp(s, 1.0 - s),
+        lambda s: jnp.log(jnp.exp(s) + jnp.exp(1.0 - s)),
+    ),
+    "logaddexp2": (lambda s: jnp.logaddexp2(s, 0.1), lambda s: jnp.log2(2.0**s + 2.0**0.1)),
+}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_a_law_may_use_smooth_functions_that_jax_writes_with_cases(name):
+    function, closed_form = SMOOTH[name]
+    np.testing.assert_allclose(coefficients(function), by_jet(closed_form), rtol=1e-11, atol=1e-13)
+
+
+# Forces of a displacement (here the path) and a velocity, and the case that each of two masses is
+# in: they are at 0.7 and 0.1.
+FORCES = {
+    "damping by the square": (lambda q, v: v * jnp.abs(v), lambda q, v: v * v * SIGNS),
+    "a stop": (
+        lambda q, v: -jnp.maximum(q - 0.3, 0.0),
+        lambda q, v: -(q - 0.3) * jnp.array([1.0, 0.0]),
+    ),
+    "cases": (
+        lambda q, v: jnp.where(q > 0.3, jnp.sin(q), q * v),
+        lambda q, v: jnp.stack([jnp.sin(q)[0], (q * v)[1]]),
+    ),
+    "table": (
+        lambda q, v: jnp.interp(q, jnp.array([0.0, 0.3, 1.0]), jnp.array([1.0, 4.0, 0.5])),
+        lambda q, v: jnp.stack([4.0 - 5.0 * (q[0] - 0.3), 1.0 + 10.0 * q[1]]),
+    ),
+    "remainder": (lambda q, v: (q * q) % 0.3, lambda q, v: q * q - jnp.array([0.3, 0.0])),
+    "remainder of a negative": (lambda q, v: -q % 0.3, lambda q, v: jnp.array([0.9, 0.3]) - q),
+    "division": (lambda q, v: q * (q // 0.3), lambda q, v: q * jnp.array([2.0, 0.0])),
+    "steps": (
+        lambda q, v: jnp.round(q) * v + jnp.floor(2 * q) + jnp.sign(q - 0.3) + jnp.trunc(q),
+        lambda q, v: jnp.array([1.0, 0.0]) * v + jnp.array([2.0, -1.0]),
+    ),
+    "greatest": (
+        lambda q, v: jnp.max(jnp.stack([q, 1.0 - q, v]), axis=0),
+        lambda q, v: jnp.stack([q[0], 1.0 - q[1]]),
+    ),
+    "logarithm of a sum": (
+        lambda q, v: jax.nn.logsumexp(jnp.stack([q, v]), axis=0),
+        lambda q, v: jnp.log(jnp.exp(q) + jnp.exp(v)),
+    ),
+    "softplus": (
+        lambda q, v: jax.nn.softplus(q - v),
+        lambda q, v: jnp.log(1.0 + jnp.exp(q - v)),
+    ),
+}
+SIGNS = jnp.array([1.0, -1.0])
+SPEED = [*(k * c for k, c in enumerate(PATH[1:], start=1)), jnp.zeros(2)]  # 0.5 and -0.3
+
+
+@pytest.mark.parametrize("name", FORCES)
+def test_a_force_may_choose_between_cases(name):
+    force, case = FORCES[name]
+    series = composed(force, PATH, SPEED)
+    own = jnp.stack([jnp.broadcast_to(series[k], (2,)) for k in range(ORDER)])
+    expected = by_jet(case, PATH, SPEED)
+    np.testing.assert_allclose(own, expected, rtol=1e-11, atol=1e-13)
+
+
+def test_at_a_corner_a_force_takes_the_side_to_which_the_motion_goes():
+    """The sign of the slope decides, so that what moves down leaves a jump, too."""
+    path, other = [jnp.zeros(2), jnp.array([1.0, -1.0])], [jnp.ones(2), jnp.zeros(2)]
+    kink = composed(lambda q, v: jnp.abs(q) + q % 1.0, path, other, slopes=[path[1], 1.0])
+    np.testing.assert_array_equal(kink[0], [0.0, 1.0])
+    np.testing.assert_array_equal(kink[1], [2.0, 0.0])
+
+
+def test_a_law_in_which_a_rule_is_missing_must_state_its_choices_all_the_same():
+    with pytest.raises(ValueError, match="give the law the field or property `knots`"):
+        coefficients(lambda s: jax.lax.erf_inv(0.5 * s) + jnp.max(jnp.stack([s, 1.0 - s]), axis=0))
 
 
 def test_the_size_of_a_speed_is_no_choice():
