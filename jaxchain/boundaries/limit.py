@@ -29,7 +29,7 @@ from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..result import Printed, SearchResult
 from .fold import fold_speed_and_peak
-from .grazing import dry_fold_belt_speed
+from .grazing import find_grazing
 
 # The widths of `extrapolated_fold` over the speed of the problem.
 _WIDTHS = 6e-4 * 2.0 ** np.arange(6)
@@ -191,12 +191,11 @@ def extrapolated_fold(chain: Chain, mass: Any = None, widths: Any = None) -> Ext
 
 def fold_and_limit(chain: Chain, mass: int) -> tuple[Array, SearchResult, Extrapolation, Array]:
     """(fold at the chain's width, its result, limit of width 0, dry fold)."""
-    dry = dry_fold_belt_speed(chain, mass)
+    dry = find_grazing(chain, mass)
     limit, folds, results = _limit(chain, mass, width=None if chain.dry else chain.width)
     if chain.dry:
-        fold, _, result = fold_speed_and_peak(chain, mass)
-        return fold, result, limit, dry
-    return folds[-1], jax.tree.map(lambda leaf: leaf[-1], results), limit, dry
+        return dry.belt_speed, dry.result, limit, dry.belt_speed
+    return folds[-1], jax.tree.map(lambda leaf: leaf[-1], results), limit, dry.belt_speed
 
 
 @eqx.filter_jit

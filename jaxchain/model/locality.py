@@ -6,6 +6,7 @@ could be wrong.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -14,13 +15,15 @@ import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
-from jax.extend.core import Literal
 
 from .._checks import is_traced
+from .._internals import Literal
 
 # The allowed difference of two computations of a slope, relative to its greatest entry.
 _ROUNDING = 1e-9
+# The latest answers.  A key holds the force of its model, which a user may define again and again.
 _KNOWN: dict[Any, Any] = {}
+_KEPT, _lock = 64, threading.Lock()
 
 # Names that a subclass of `AbstractOscillators` cannot define, with the alternative.
 FINAL = {
@@ -121,9 +124,15 @@ def _once(field: Any, key: Any, find: Callable[[], Any]) -> Any:
     leaves, structure = jax.tree.flatten(field)
     shapes = [(a.shape, a.dtype) if eqx.is_array(a) else a for a in leaves]
     key = (key, structure, *shapes)
-    if key not in _KNOWN:
-        _KNOWN[key] = find()
-    return _KNOWN[key]
+    with _lock:
+        answer = _KNOWN.pop(key, None)
+    if answer is None:
+        answer = find()
+    with _lock:
+        _KNOWN[key] = answer
+        while len(_KNOWN) > _KEPT:
+            del _KNOWN[next(iter(_KNOWN))]
+    return answer
 
 
 def dependence(cells: Any, m: int, n: int) -> Dependence:

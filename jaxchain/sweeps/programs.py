@@ -8,8 +8,6 @@ bits.
 from __future__ import annotations
 
 import functools
-import io
-import pickle
 import threading
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any
@@ -18,21 +16,21 @@ import equinox as eqx
 import jax
 import jax.tree_util as jtu
 import numpy as np
-from jax.experimental import serialize_executable
 from jaxtyping import Array
 
+from .._internals import moved_program
 from .lanes import RunStart, RunStarts, start_of
 
 # How many of the latest programs are kept: of functions with the structure of their task, and of
 # `initial` and `vary`, which a user may define again for each sweep (two programs for each).
 KEPT, KEPT_STARTS = 64, 16
-_hits: list[int] = []  # the thread, for each program that came from JAX's cache on disk
+_latest = threading.local()  # `from_disk`: whether it came from JAX's cache, in each thread
 
 
 def _listen(event: str, **about: Any) -> None:
     del about
     if event == "/jax/compilation_cache/cache_hits":
-        _hits.append(threading.get_ident())
+        _latest.from_disk = True
 
 
 jax.monitoring.register_event_listener(_listen)
@@ -62,15 +60,15 @@ class Program:
         with self._lock:  # threads that need the same program wait for it
             loaded = self._loaded.setdefault(key, {})
             if device not in loaded:
-                moved = _moved(self._movable[key], device) if key in self._movable else None
+                moved = moved_program(self._movable[key], device) if key in self._movable else None
                 loaded[device] = self._compile(key, device, arguments) if moved is None else moved
             return loaded[device]
 
     def _compile(self, key: Hashable, device: Any, arguments: tuple) -> Any:
-        before = _hits.count(threading.get_ident())
+        _latest.from_disk = False
         with jax.default_device(device):  # NumPy arrays lie on none
             executable = self._jitted.lower(*arguments).compile()
-        if _hits.count(threading.get_ident()) == before:  # a program from the disk cannot be moved
+        if not _latest.from_disk:  # a program from the disk cannot be moved
             self._movable[key] = executable
         return executable
 
@@ -79,31 +77,6 @@ def _key(arguments: tuple) -> Hashable:
     leaves, structure = jtu.tree_flatten(arguments)
     kinds = [a if isinstance(a, jax.ShapeDtypeStruct) else jax.typeof(a) for a in leaves]
     return structure, *kinds
-
-
-def _moved(executable: Any, device: Any) -> Any:
-    """The same executable for another device, or None if JAX cannot do this."""
-    try:
-        from jax._src.compiler import get_compile_options
-        from jax._src.lib import xla_client  # pyright: ignore[reportPrivateImportUsage]
-
-        options = get_compile_options(1, 1, device_assignment=np.array([[device.id]]))
-
-        class Loader(pickle.Unpickler):
-            """JAX's own loader takes the number of the first device for that of the given one."""
-
-            def persistent_load(self, pid: Any) -> Any:
-                if pid[0] == "exec":
-                    devices = xla_client.DeviceList((device,))
-                    return device.client.deserialize_executable(pid[1], devices, options)
-                return device if pid[0] == "device" else device.client
-
-        stored, given, returned = serialize_executable.serialize(executable)
-        unloaded, about, no_keywords = Loader(io.BytesIO(stored)).load()
-        about = jtu.tree_unflatten(given, about)
-        return jax.stages.Compiled(unloaded.load(), [], about, returned, no_kwargs=no_keywords)
-    except Exception:  # these are internals of JAX, which may change: then compile again
-        return None
 
 
 def _program(

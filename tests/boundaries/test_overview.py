@@ -9,10 +9,11 @@ import pytest
 from scipy.optimize import brentq, fsolve
 
 from jaxchain import paper_chain
-from jaxchain.boundaries import find_fold
+from jaxchain.boundaries import find_fold, find_grazing, fold, grazing, limit
 from jaxchain.boundaries.hopf_scan import generalised_hopf
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.boundaries.single_mass import one_mass_branch
+from jaxchain.result import SearchResult
 
 WIDTH = 1e-2
 # The grazing fold of the paper's set, from an independent continuation of slip cycles.
@@ -141,3 +142,22 @@ def test_a_branch_that_is_left_near_its_fold_has_what_lies_above():
 @pytest.fixture(scope="module")
 def branch():
     return one_mass_branch(paper_chain(1, width=WIDTH), 0.3)
+
+
+def test_with_error_bars_the_dry_fold_is_searched_once(monkeypatch):
+    """It is the fold of a dry chain and the second opinion on its limit, too."""
+    searched = []
+
+    def search(chain, mass):
+        searched.append(mass)
+        return find_grazing(chain, mass)
+
+    monkeypatch.setattr(grazing, "find_grazing", search)
+    monkeypatch.setattr(limit, "find_grazing", search, raising=False)
+    monkeypatch.setattr(fold, "find_grazing", search)
+    none = limit.Extrapolation(jnp.zeros(()), jnp.zeros(()), jnp.zeros(6))
+    monkeypatch.setattr(limit, "_limit", lambda *chain, **width: (none, None, None))
+    speed, result, _, dry = limit.fold_and_limit(paper_chain(n=1, width=None), 0)
+    assert searched == [0]
+    assert result == SearchResult.successful
+    assert float(speed) == float(dry)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental import serialize_executable
 
 from jaxchain.sweeps import programs
 from jaxchain.sweeps.programs import Program, map_lanes, place, ready
@@ -49,16 +50,15 @@ def test_what_was_compiled_for_one_device_is_loaded_on_the_next(movable, monkeyp
 
     def traced(x):
         if movable == "from the disk":  # what XLA loaded once, it cannot move
-            hits.append(threading.get_ident())
+            programs._listen("/jax/compilation_cache/cache_hits")
         return jax.lax.fori_loop(0, 200, lambda _, x: 3.9 * x * (1.0 - x), x) + new
 
     def listen(event: str, duration_secs: float, **about: str | int) -> None:
         del duration_secs, about
         compiled.extend([event] * (event == "/jax/core/compile/backend_compile_duration"))
 
-    monkeypatch.setattr(programs, "_hits", hits := [])
     if movable == "refused by JAX":
-        monkeypatch.setattr(programs, "serialize_executable", None)
+        monkeypatch.setattr(serialize_executable, "serialize", None)
     made, results = Program(traced), []
     jax.monitoring.register_event_duration_secs_listener(listen)
     try:
@@ -70,6 +70,21 @@ def test_what_was_compiled_for_one_device_is_loaded_on_the_next(movable, monkeyp
         jax.monitoring.unregister_event_duration_listener(listen)
     np.testing.assert_array_equal(*results)
     assert (len(compiled) == 1) == (movable == "moved")
+
+
+def test_programs_from_the_disk_leave_nothing_in_memory():
+    """Each of them would leave an entry of a list, which grows for as long as the process runs."""
+
+    def look():
+        programs._listen("/jax/compilation_cache/cache_hits")
+        return vars(programs._latest).copy()
+
+    assert [look() for _ in range(1000)][-1] == {"from_disk": True}
+    found = []
+    thread = threading.Thread(target=lambda: found.append(vars(programs._latest).copy()))
+    thread.start()
+    thread.join()
+    assert found == [{}]  # of another thread
 
 
 @pytest.mark.parametrize("number", [True, False])
