@@ -17,6 +17,9 @@ from jaxchain.observers.amplitude import Amplitude
 from jaxchain.observers.section import PeakTimes
 from jaxchain.simulation.run import simulate
 
+# XLA divides the same loop into more parts from jax 0.11 on, such as 74 with jax 0.12.0 for the
+# amplitudes. They take the same CPU time: 64 runs 13 to 15 ms there and with jax 0.10.2.
+MORE = 1.25 if jax.__version_info__ >= (0, 11) else 1.0
 WHOLE = 'xla_cpu_small_call="true"'
 
 
@@ -80,7 +83,7 @@ def test_every_loop_is_compiled_whole(make, n, width, observe, most):
     for word in ("custom-call(", "scatter(", " sort("):
         assert not [line for line in lines if word in line]
     fusions = sum(" fusion(" in line for line in lines)
-    assert most // 2 < fusions <= most
+    assert most // 2 < fusions <= most * MORE
     inner = sum(" while(" in line for line in lines)
     assert text.count(WHOLE) >= text.count(" while(") - inner > 0
 
