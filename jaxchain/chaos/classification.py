@@ -694,8 +694,7 @@ def judge_orbit(
         evidence.slips = float(np.max(np.abs(turned[-1] - turned[half])))
         evidence.period = float(np.mean(mean_periods(record, masses)))
         evidence.delays = record.peaks[-1, 1, masses] / evidence.period
-        ends = task.chain.ends if isinstance(task.chain, Chain | AbstractCells) else "free"
-        defect = symmetry_defect(record, evidence.active, evidence.period, ends)
+        defect = symmetry_defect(record, evidence.active, evidence.period, task.chain.ends)
         evidence.symmetry_time = np.append(evidence.symmetry_time, record.t)
         evidence.symmetry = np.append(evidence.symmetry, defect)
     if task.forced is None and reference not in masses:

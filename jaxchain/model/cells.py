@@ -156,11 +156,16 @@ class AbstractField(eqx.Module):
                     f"{sorted(known)}."
                 )
             number = to_float(converters.get(name, to_float)(value))
+            self._check_change(name, number)
             field = eqx.tree_at(operator.attrgetter(self._place(name)), field, number)
         for kind in type(field).__mro__:
             if check := vars(kind).get("__check_init__"):
                 check(field)
         return field
+
+    def _check_change(self, name: str, number: Array) -> None:
+        """Raises `ValueError` if `with_` cannot put this number in the place of the present one."""
+        del name, number
 
     def _place(self, name: str) -> str:
         """The attribute that a number is kept in."""

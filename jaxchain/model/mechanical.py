@@ -33,6 +33,9 @@ from .friction import AbstractFriction, AbstractFrictionLaw, TanhFriction, as_la
 from .springs import Ends
 from .tridiagonal import Entries, factor, substitute
 
+# The fields with an entry for each displacement, unless they are one number for all of them.
+_OF_DISPLACEMENTS = ("stiffness", "mass", "damping", "coupling", "force")
+
 Parts = tuple[Float[Array, " n"], ...]
 # One number, (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each cell.
 Matrix = Float[Array, "..."]
@@ -87,6 +90,10 @@ class MechanicalCells(AbstractCells):
     `spring` and `local_force` are functions, or `equinox.Module`s whose numbers are fields; they
     compute all cells side by side.
 
+    `with_` changes numbers by their names.  Where the cells hold an array over displacements, it
+    refuses one number, which would act on all displacements; `normal_load` and the numbers of the
+    friction law are one for all cells or one for each.
+
     **Raises:** `ValueError` for anything else.
 
     !!! example
@@ -126,7 +133,7 @@ class MechanicalCells(AbstractCells):
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))
         d = self.d
-        for name in ("stiffness", "mass", "damping", "coupling"):
+        for name in _OF_DISPLACEMENTS[:4]:
             value = getattr(self, name)
             if value is None:
                 continue
@@ -184,6 +191,18 @@ class MechanicalCells(AbstractCells):
                     f"but is {shown(law)} and returns {[str(f) for f in rest]}: springs beyond "
                     "free ends exert no force."
                 )
+
+    def _check_change(self, name: str, number: Array) -> None:
+        """One number in the place of several would act on all displacements, unnoticed."""
+        shape = vars(self)[name].shape if name in _OF_DISPLACEMENTS else ()
+        if shape and self.d > 1 and not number.shape:
+            entry = ", ".join("0" for _ in shape)
+            raise ValueError(
+                f"Argument `{name}` must have shape {shape}, as in these cells, but is one number, "
+                f"{shown(number)}, which would act on all {self.d} displacements: give all entries, "
+                f"such as `cells.{name}.at[{entry}].set(0.2)`. A sweep does so by `vary`: "
+                f"`lambda cells, size: cells.with_({name}=cells.{name}.at[{entry}].set(size))`."
+            )
 
     @property
     def d(self) -> int:

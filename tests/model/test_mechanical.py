@@ -193,6 +193,31 @@ def test_mode_coupling_from_matrices():
     np.testing.assert_allclose(rates[1], rates[0], atol=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("name", "shape"),
+    [
+        ("stiffness", "2, 2"),
+        ("mass", "2, 2"),
+        ("damping", "2,"),
+        ("coupling", "2, 2"),
+        ("force", "2,"),
+    ],
+)
+def test_one_number_does_not_replace_an_array_over_displacements(name, shape):
+    """It would drive, hold or damp all of them."""
+    cells = two_of_each()
+    match = rf"`{name}` must have shape \({shape}\).*all 2 displacements.*`vary`"
+    with pytest.raises(ValueError, match=match):
+        cells.with_(**{name: 0.2})
+    with pytest.raises(ValueError, match=match):
+        jax.jit(lambda number: cells.with_(**{name: number}))(0.2)
+    with pytest.raises(ValueError, match=match):
+        sweep(cells, START, 1.0, over={name: [0.2, 0.3]}, solver=SOLVER)
+    changed = cells.with_(**{name: 2.0 * getattr(cells, name)}, normal_load=0.5)
+    np.testing.assert_array_equal(getattr(changed, name), 2.0 * getattr(cells, name))
+    assert float(MechanicalCells(1.0, force=[0.1], frequency=1.0).with_(force=0.2).force) == 0.2
+
+
 def test_a_law_cannot_have_a_number_of_the_cell():
     class Heavy(AbstractFrictionLaw):
         mu_static: float
