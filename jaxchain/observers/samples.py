@@ -17,7 +17,6 @@ from jaxtyping import Array, Float, Int
 from .._checks import (
     check_finite,
     check_kind,
-    check_nonnegative,
     check_number,
     check_positive_number,
     check_whole,
@@ -98,15 +97,17 @@ class Samples(AbstractNotingObserver):
 
     For states at given times, which need not be regular, see `Trajectory`.
 
-    A run uses the times that lie within it.  Unlike `Trajectory` with dry friction, it does not
+    A run uses the times that lie within it.  Without `start` the first is its own start, or that
+    of each segment.  Unlike `Trajectory` with dry friction, it does not
     shorten steps, and its cost does not depend on the length of the run: with `segments`, or with
     `start` and `capacity`, a long run stores only the samples you want.
 
     **Arguments:** `interval` between samples; `capacity`, the greatest number kept (the first
-    ones); `oscillators`, indices of the masses from 0 (None: all); `start`.
+    ones); `oscillators`, indices of the masses from 0 (None: all); `start`, the first time (None:
+    the start of the run).
 
-    **Value:** (times, x, v) of shapes (capacity,), (capacity, masses), (capacity, masses), filled
-    with NaN; of other cells all m of their numbers behind the times.
+    **Value:** (times, x, v) of shapes (capacity,), (capacity, masses), (capacity, masses); NaN in
+    the rows beyond the end of the run; of other cells all m of their numbers behind the times.
 
     **Raises:** `ValueError` for an index that the chain does not have, and for bad numbers.
 
@@ -126,14 +127,13 @@ class Samples(AbstractNotingObserver):
     interval: float | Float[Array, ""] = eqx.field(converter=_interval)
     capacity: int = eqx.field(static=True, default=0)
     oscillators: tuple[int, ...] | None = eqx.field(static=True, default=None)
-    start: float = eqx.field(static=True, default=0.0)
+    start: float | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
         check_positive_number("interval", self.interval, "0.1 is a sixtieth of a period.")
         check_whole("capacity", self.capacity, remedy="it is how many samples are kept.")
-        check_number("start", self.start, "the first time; 0 is usual.")
-        check_nonnegative("start", self.start, "the first time; 0 is usual.")
-
+        if self.start is not None:
+            check_number("start", self.start, "the first time; None: the start of the run.")
         if self.oscillators is not None:
             check_kind("oscillators", self.oscillators, tuple, "None or a tuple of indices")
             if not self.oscillators:
@@ -153,8 +153,10 @@ class Samples(AbstractNotingObserver):
     def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Samples:
         del field, t1
         masses = self._masses(y0[0].shape[0])
-        gone = jnp.ceil((to_float(t0) - self.start) / self.interval - _ROUNDING)
-        first = self.start + self.interval * jnp.maximum(gone, 0.0)
+        first = to_float(t0)
+        if self.start is not None:
+            gone = jnp.ceil((first - self.start) / self.interval - _ROUNDING)
+            first = self.start + self.interval * jnp.maximum(gone, 0.0)
         none = jnp.full((self.capacity, masses.size), jnp.nan)
         # The initial state itself, which ends no step.
         parts = (none.at[0].set(jnp.where(first <= t0, part[masses], jnp.nan)) for part in y0)
@@ -162,7 +164,7 @@ class Samples(AbstractNotingObserver):
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
-        return self.start <= t1
+        return self.start is None or self.start <= t1
 
     def update(self, accumulator: _Samples, step: Step) -> _Samples:
         masses = self._masses(step.y0[0].shape[0])

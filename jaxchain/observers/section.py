@@ -28,15 +28,21 @@ from .base import (
 _NONE = -1e300
 
 
+def _check_start(start: Any) -> None:
+    if start is not None:
+        check_number("start", start, "nothing is kept before this time; None: all of the run.")
+
+
 @final
 class PeakTimes(AbstractNotingObserver):
     """Times of the maxima of every displacement, located between steps.
 
     **Arguments:** `capacity`, the greatest number of maxima kept per mass (the first ones; for
-    long runs see `segments` of `simulate`); `start`, the time from which maxima are kept;
-    `component`, the number of a cell that is observed.
+    long runs see `segments` of `simulate`); `start`, the time from which maxima are kept (None:
+    the start of the run); `component`, the number of a cell that is observed.
 
-    **Value:** shape (capacity, n), filled with NaN.
+    **Value:** shape (capacity, n); NaN in the rows beyond the maxima that there were, which says
+    nothing about the run.
 
     !!! example
 
@@ -52,12 +58,12 @@ class PeakTimes(AbstractNotingObserver):
     """
 
     capacity: int = eqx.field(static=True, default=64)
-    start: float = eqx.field(static=True, default=0.0)
+    start: float | None = eqx.field(static=True, default=None)
     component: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         check_whole("capacity", self.capacity)
-        check_number("start", self.start, "nothing is kept before this time; 0 is usual.")
+        _check_start(self.start)
         check_whole("component", self.component, 0, remedy="0 is the first number of a cell.")
 
     def init(
@@ -69,7 +75,7 @@ class PeakTimes(AbstractNotingObserver):
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
-        return self.start <= t1
+        return self.start is None or self.start <= t1
 
     def update(self, accumulator: tuple[Array, Array], step: Step) -> tuple[Array, Array]:
         times, count = accumulator
@@ -84,7 +90,7 @@ class PeakTimes(AbstractNotingObserver):
         step = step.of(self.component)
         peak, theta = step.maxima()
         time = step.time(theta)
-        peak = peak & (time >= self.start)
+        peak = peak if self.start is None else peak & (time >= self.start)
         # Once, not once for every row.
         return materialize(jnp.where(peak, time, _NONE))
 
@@ -122,12 +128,12 @@ class AbstractSection(AbstractObserver):
 
     oscillator: int | Int[Array, ""]
     capacity: int = eqx.field(static=True, default=64)
-    start: float | Float[Array, ""] = 0.0
+    start: float | Float[Array, ""] | None = None
     of: Literal["displacement", "velocity"] = eqx.field(static=True, default="displacement")
 
     def __check_init__(self) -> None:
         check_whole("capacity", self.capacity)
-        check_number("start", self.start, "nothing is kept before this time; 0 is usual.")
+        _check_start(self.start)
         check_one_of("of", self.of, ("displacement", "velocity"))
         if not isinstance(self.oscillator, Array):
             check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a mass.")
@@ -144,7 +150,7 @@ class AbstractSection(AbstractObserver):
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
-        return self.start <= t1
+        return self.start is None or self.start <= t1
 
     def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
         times, *kept, count = accumulator
@@ -157,7 +163,7 @@ class AbstractSection(AbstractObserver):
         else:
             theta = self._fastest(step, peaks, first, last)
             peaks = peaks | self._corner(step, last)
-        hit = peaks & (step.time(theta) >= self.start)
+        hit = peaks if self.start is None else peaks & (step.time(theta) >= self.start)
         here = hit & (jnp.arange(self.capacity) == count)
         # Once, not once for every row.
         state = [materialize(part) for part in step.state(theta)]
@@ -213,12 +219,12 @@ class AbstractSection(AbstractObserver):
 class Section(AbstractSection):
     """States where mass `oscillator` (counted from 0) reaches a maximum, the first `capacity`.
 
-    **Arguments:** `oscillator`, an index, and `start`, the time before which nothing is kept, may
-    be traced; `of` which the maximum is: "displacement", v = 0 and v' < 0, or "velocity" in the
-    belt's direction, v' = 0 and v'' < 0.
+    **Arguments:** `oscillator`, an index, and `start`, the time before which nothing is kept
+    (None: the start of the run), may be traced; `of` which the maximum is: "displacement", v = 0
+    and v' < 0, or "velocity" in the belt's direction, v' = 0 and v'' < 0.
 
-    **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN where none.
-    With other cells the maximum is that of their first number, and the value contains all m.
+    **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN in the rows
+    beyond the maxima that there were.  With other cells the maximum is that of their first number, and the value contains all m.
 
     !!! example
 

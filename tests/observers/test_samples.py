@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from systems.oscillators import LinearRing
 
-from jaxchain import EventDriven, Rodas5P, equation_8, paper_chain, simulate
+from jaxchain import (
+    EventDriven,
+    PeakTimes,
+    Rodas5P,
+    Section,
+    equation_8,
+    paper_chain,
+    simulate,
+)
 from jaxchain.observers.base import Step
 from jaxchain.observers.samples import Samples
 
@@ -102,6 +110,32 @@ def test_samples_go_through_vmap():
     np.testing.assert_allclose(both[1], one(2), atol=1e-6)
 
 
+@pytest.mark.parametrize("solver", [EventDriven(), None])
+def test_observers_start_with_a_run_that_starts_before_time_0(solver):
+    """The same run at other times has the same values, by default and from a negative `start`."""
+    t0 = -12.3
+
+    def run(t0: float, start: float | None) -> list:
+        watch = [
+            Samples(0.7, 20, start=start),
+            PeakTimes(4, start=start),
+            Section(0, 4, start=start),
+            Section(0, 4, start=start, of="velocity"),
+        ]
+        chain = CHAIN if solver else CHAIN.with_(width=0.1)
+        return simulate(chain, START, t0 + 12.3, t0=t0, observe=watch, solver=solver).observed
+
+    for start in (None, 3.0):
+        early = run(t0, None if start is None else t0 + start)
+        for ours, theirs in zip(early, run(0.0, start), strict=True):
+            times, late = (np.asarray(part[0] if isinstance(part, tuple) else part)
+                           for part in (ours, theirs))  # fmt: skip
+            assert np.isfinite(late).any()
+            np.testing.assert_allclose(times - t0, late, atol=1e-9)
+            if isinstance(ours, tuple):
+                np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9)
+
+
 def test_bad_input_is_named():
     with pytest.raises(ValueError, match="`interval` must be positive"):
         Samples(0.0, 4)
@@ -111,6 +145,6 @@ def test_bad_input_is_named():
     with pytest.raises(ValueError, match="`capacity` must be"):
         Samples(0.1, 0)
     with pytest.raises(ValueError, match="`start` must be"):
-        Samples(0.1, 4, start=-1.0)
+        Samples(0.1, 4, start=np.nan)
     with pytest.raises(ValueError, match=r"`oscillators.0.` must be an integer in 0 ... 2"):
         simulate(CHAIN, START, 1.0, observe=Samples(0.1, 4, oscillators=(3,)))

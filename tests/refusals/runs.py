@@ -97,15 +97,15 @@ def _observers() -> Iterator[Row]:
             "quiet_below": POSITIVE,
         },
     )  # fmt: skip
-    yield Row("PeakTimes", observers.PeakTimes, {}, {"capacity": COUNT, "start": NUMBER})
+    yield Row("PeakTimes", observers.PeakTimes, {}, {"capacity": COUNT, "start": optional(NUMBER)})
     yield Row(
         "Section", observers.Section, {"oscillator": 0},
-        {"oscillator": INDEX, "capacity": COUNT, "start": NUMBER, "of": WORD},
+        {"oscillator": INDEX, "capacity": COUNT, "start": optional(NUMBER), "of": WORD},
     )  # fmt: skip
     yield Row(
         "Samples", observers.Samples, {"interval": 0.5, "capacity": 4},
         {
-            "interval": POSITIVE, "capacity": COUNT, "start": NONNEGATIVE,
+            "interval": POSITIVE, "capacity": COUNT, "start": optional(NUMBER),
             "oscillators": ("x", 3, {}, (), (-1,), (1.5,), ((1,),), (True,)),
         },
     )  # fmt: skip
