@@ -47,7 +47,7 @@ from ..simulation.accuracy import (
     default_rtol,
 )
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
-from ..simulation.plan import AbstractPlan, Progress, forward_only
+from ..simulation.plan import AbstractPlan, Progress, forward_only, where
 from ..simulation.run import build_plan
 from ..simulation.smoothed import SmoothedPlan
 
@@ -59,9 +59,8 @@ ZERO = 1e-9
 class LyapunovSpectrum(Printed, eqx.Module):
     """Lyapunov exponents per dimensionless time; arrays have shape (count,).
 
-    - `exponents`: time averages over the window; -inf for a direction that sticking erases, NaN
-      for one that became too small between two QR decompositions.  Their order is that of the
-      decomposition: descending, except for nearly equal ones.
+    - `exponents`: time averages over the window; -inf for a direction that sticking erases.  Their
+      order is that of the decomposition: descending, except for nearly equal ones.
     - `smooth`: averages with the weight exp(-1 / (s (1 - s))) over the share s of the window.  For
       regular motion (periodic, quasi-periodic, steady) of smooth systems they converge faster than
       any power of the window's length, and `exponents` like 1 / length; for chaos they have no
@@ -77,8 +76,9 @@ class LyapunovSpectrum(Printed, eqx.Module):
     - `kaplan_yorke`: dimension; exponents that are 0 within their interval count as 0.  NaN if
       more exponents are needed.
     - `t`, `state`: the end of the run, from which another call can continue.
-    - `interval`: time between two QR decompositions.
-    - `result`: see `Result`; if it is not `successful` the numbers are NaN.
+    - `interval`: the greatest time between two QR decompositions.
+    - `result`: see `Result`; if it is not `successful` the numbers are NaN.  It is `nonfinite` if
+      a direction is lost to rounding even in the shortest interval.
 
     See `lyapunov_spectrum` for an example.
     """
@@ -168,6 +168,9 @@ def kaplan_yorke_dimension(exponents: Float[Array, " count"], complete: bool) ->
 # Below this share of its length, a column orthogonal to the previous ones is rounding: that of
 # some hundred steps times a condition number of some thousand.
 RESOLVED = 1e-10
+# The logarithm of this share, above which twice the time leaves the column resolved; the least
+# share of an interval that is tried.
+_RESOLVED_WELL, _SHORTEST = np.log(1e-4), 2.0**-30
 
 
 class Frame(eqx.Module):
@@ -230,9 +233,18 @@ def orthonormalise(
     ([2.0, nan], True)
     """
     basis, R = jnp.linalg.qr(images)
-    left, length = jnp.abs(jnp.diagonal(R)), jnp.linalg.norm(images, axis=0)
-    seen = left > RESOLVED * length
+    left = jnp.abs(jnp.diagonal(R))
+    seen = left > RESOLVED * _lengths(images)
     return basis, jnp.where(seen, jnp.log(jnp.where(seen, left, 1.0)), jnp.nan)
+
+
+def _lengths(images: Float[Array, "two_n count"]) -> Float[Array, " count"]:
+    return jnp.linalg.norm(images, axis=0)
+
+
+def _sticking(plan: AbstractPlan, progress: Progress) -> Any:
+    """The most masses that stuck together so far, each of which erases a direction."""
+    return plan.read(progress)[0] if isinstance(plan, EventDrivenPlan) else 0
 
 
 def advance_frame(
@@ -285,36 +297,58 @@ def advance_span(
     span: Interval,
     max_steps: int | None,
 ) -> tuple[Frame, Growth]:
-    """The frame after a span, orthonormalised after every interval.
+    """The frame after a span, orthonormalised after every interval, or more often.
 
+    Within an interval, a part in which a disturbance is lost to rounding is repeated in halves.
     Observers start again with the span.
     """
-    begun, end = frame.progress, span.start + span.number * span.interval
-    fresh = [o.init(field, begun.t, end, begun.state) for o in plan.observers]
+    here, end = frame.progress, span.start + span.number * span.interval
+    fresh = [o.init(field, here.t, end, here.state) for o in plan.observers]
     frame = eqx.tree_at(lambda f: f.progress.accumulators, frame, fresh)
-    zero = jnp.zeros(frame.basis.shape[1])
+    dimension, count = frame.basis.shape
+    zero = jnp.zeros(count)
 
-    def one(k: Any, carry: tuple[Frame, Growth]) -> tuple[Frame, Growth]:
-        frame, growth = carry
+    def part(end: Array, now: tuple[Frame, Array, Array]) -> tuple[Frame, Array, Array]:
+        frame, logs, length = now
+        left = end - frame.progress.t
+        parts = jnp.ceil(left / length * (1.0 - 1e-12))
+        to = jnp.where(parts > 1, frame.progress.t + left / parts, end)
+        new, images = advance_frame(plan, field, frame, to, max_steps)
+        basis, gained = orthonormalise(images)
+        erased = jnp.arange(count) >= dimension - _sticking(plan, new.progress)
+        lost = jnp.any(jnp.isnan(gained) & ~erased)
+        broken = jnp.any(jnp.isnan(images))
+        again = lost & ~broken & new.progress.running & (length > _SHORTEST * span.interval)
+        failed = new.progress.running & (lost | broken)
+        result = Result.where(failed, Result.nonfinite, new.progress.result)
+        new = Frame(eqx.tree_at(lambda p: p.result, new.progress, result), basis)
+        least = jnp.min(jnp.where(erased, jnp.inf, gained - jnp.log(_lengths(images))))
+        longer = jnp.where(least > _RESOLVED_WELL, 2.0 * length, length)
+        length = jnp.where(again, 0.5 * length, jnp.minimum(longer, span.interval))
+        frame, logs = where(again, (frame, logs), (new, logs + gained))
+        return frame, logs, lax.stop_gradient(length)
+
+    def one(k: Any, carry: tuple[Frame, Growth, Array]) -> tuple[Frame, Growth, Array]:
+        frame, growth, length = carry
         end = span.start + (k + 1) * span.interval
-        frame, images = advance_frame(plan, field, frame, end, max_steps)
-        basis, logs = orthonormalise(images)
-        progress = frame.progress
-        lost = progress.running & jnp.any(jnp.isnan(images))
-        result = Result.where(lost, Result.nonfinite, progress.result)
-        progress = eqx.tree_at(lambda p: p.result, progress, result)
+        frame, logs, length = lax.while_loop(
+            lambda now: now[0].progress.running & (now[0].progress.t < end),
+            lambda now: part(end, now),
+            (frame, zero, length),
+        )
         weight = bump(span.phase + k * span.phase_step)
-        return Frame(progress, basis), Growth(
+        growth = Growth(
             growth.logs + logs,
             growth.weighted + jnp.where(weight > 0, weight * logs, 0.0),
             growth.weights + weight * span.interval,
         )
+        return frame, growth, length
 
-    frame, growth = lax.fori_loop(0, span.number, one, (frame, Growth(zero, zero, jnp.zeros(()))))
+    begun = frame, Growth(zero, zero, jnp.zeros(())), 1.0 * span.interval
+    frame, growth, _ = lax.fori_loop(0, span.number, one, begun)
     (observed,) = plan.read(frame.progress)
     logs, weighted = growth.logs, growth.weighted
     if isinstance(plan, EventDrivenPlan):
-        dimension, count = frame.basis.shape
         lost = jnp.arange(count) >= dimension - observed
         logs, weighted = (jnp.where(lost, -jnp.inf, a) for a in (logs, weighted))
     return frame, Growth(logs, weighted, growth.weights, observed)
@@ -347,7 +381,8 @@ def lyapunov_spectrum(
     """The `count` leading Lyapunov exponents of the motion from `initial`, by Benettin's method.
 
     The derivative of the discrete steps transports orthonormal disturbances along the orbit; they
-    are orthonormalised again after every interval:
+    are orthonormalised again after every interval, which is halved until no disturbance falls
+    below 1e-10 of the others, where rounding would hide it:
 
         M_k Q_{k-1} = Q_k R_k,      lambda_i = (1 / T) sum_k log |(R_k)_ii|
 
@@ -368,11 +403,10 @@ def lyapunov_spectrum(
     - `transient`: left out of the averages; in its second half disturbances are integrated, too,
       so that their directions settle.
     - `interval`: the greatest time between two QR decompositions, at most a block (in a traced
-      call a longer one is shortened).  A disturbance that falls below 1e-10 of the others
-      meanwhile is lost to rounding, and its exponent is NaN.  The default is 2 pi for at most n
-      exponents, which contain no stiff direction.  For more it is 1 for dry friction, and 10 eps /
-      (p mu_st) for smoothed friction, in which nothing contracts by more than e^-10: costly for
-      small widths.  It is 1 for other oscillators than a `Chain`.
+      call a longer one is shortened).  The default is 2 pi for at most n exponents of a `Chain`,
+      which contain no stiff direction, and otherwise 1; but for all exponents of smoothed friction
+      10 eps / (p mu_st), times the mass of a contact, in which nothing contracts by more than
+      e^-10: costly for small widths.
     - `blocks`: number of equal parts of the window whose means give the errors; each should be
       much longer than the correlation time of the motion.
     - `solver`, `rtol`, `atol`, `max_step`, `max_steps` (per interval): as for `simulate`.
@@ -439,7 +473,7 @@ def lyapunov_spectrum(
     remedy = "there is an exponent for each number of the state."
     count = dimension if count is None else check_whole("count", count, 1, dimension, remedy)
     if interval is None:
-        interval = _usual_interval(chain, count, dry)
+        interval = _usual_interval(chain, state, count, dry)
     else:
         check_positive_number("interval", interval, "a period is about 2 pi.")
         block = 0.0 if traced else (float(t1) - float(transient)) / blocks
@@ -531,8 +565,6 @@ def _read(frame: Frame, growth: Growth, spans: Interval) -> LyapunovSpectrum:
     weighted = jnp.sum(growth.weighted[1:], axis=0) + nan
     divergence = jnp.nan * nan if dry else jnp.sum(observed[1:]) / jnp.sum(lengths) + nan
     settled = jnp.where(jnp.abs(exponents) <= reach + ZERO, 0.0, exponents)
-    # An exponent below rounding is below all others.
-    settled = jnp.where(jnp.isnan(settled) & progress.running, -jnp.inf, settled)
     complete = exponents.shape[0] == len(progress.state) * progress.state[0].shape[0]
     return LyapunovSpectrum(
         exponents=exponents,
@@ -552,12 +584,11 @@ def _read(frame: Frame, growth: Growth, spans: Interval) -> LyapunovSpectrum:
     )
 
 
-def _usual_interval(chain: Any, count: int, dry: bool) -> Any:
-    if not isinstance(chain, Chain):
-        return 1.0
-    if count <= chain.n:
-        return _PERIOD
-    if dry:
-        return 1.0
-    rate = jnp.max(chain.load) * jnp.max(chain.law.mu_static) / jnp.min(chain.width)
-    return jnp.minimum(_PERIOD, _LEAST_LOG / (rate + 2.0 * jnp.max(chain.damping_ratio)))
+def _usual_interval(model: AbstractField, state: State, count: int, dry: bool) -> Any:
+    n, chain = len(state[0]), isinstance(model, Chain)
+    stiff = count > (len(state) - 1) * n  # the last exponent of each contact
+    release, layer = model.release_acceleration(), model.layer(0.0, state)
+    if dry or not stiff or release is None or layer is None:
+        return _PERIOD if chain and not stiff else 1.0
+    rate = jnp.max(release) / jnp.min(layer[1])
+    return jnp.minimum(_PERIOD if chain else 1.0, _LEAST_LOG / rate)

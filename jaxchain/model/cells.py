@@ -164,7 +164,7 @@ class AbstractField(eqx.Module):
         return field
 
     def _check_change(self, name: str, number: Array) -> None:
-        """Raises `ValueError` if `with_` cannot put this number in the place of the present one."""
+        """Raises `ValueError` if this number cannot take the place of the present one."""
         del name, number
 
     def _place(self, name: str) -> str:

@@ -198,9 +198,9 @@ class MechanicalCells(AbstractCells):
         if shape and self.d > 1 and not number.shape:
             entry = ", ".join("0" for _ in shape)
             raise ValueError(
-                f"Argument `{name}` must have shape {shape}, as in these cells, but is one number, "
-                f"{shown(number)}, which would act on all {self.d} displacements: give all entries, "
-                f"such as `cells.{name}.at[{entry}].set(0.2)`. A sweep does so by `vary`: "
+                f"Argument `{name}` must have shape {shape}, as in these cells, but is one "
+                f"number, {shown(number)}, which would act on all {self.d} displacements: give "
+                f"all entries, such as `cells.{name}.at[{entry}].set(0.2)`. A sweep does so by `vary`: "
                 f"`lambda cells, size: cells.with_({name}=cells.{name}.at[{entry}].set(size))`."
             )
 

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_number, check_one_of, check_whole
 from .._computed_once import materialize
@@ -19,6 +19,7 @@ from .base import (
     AbstractObserver,
     Step,
     Variable,
+    all_finite,
     renamed,
     states_at_times,
     zeros,
@@ -108,6 +109,9 @@ class PeakTimes(AbstractNotingObserver):
         rows = jnp.where(valid, kept[None] + jnp.cumsum(valid, axis=0) - 1, self.capacity)
         times = times.at[rows, jnp.arange(n)[None]].set(notes, mode="drop")
         return times, kept + jnp.sum(valid, axis=0)
+
+    def finite(self, accumulator: tuple[Array, Array]) -> Bool[Array, ""]:
+        return all_finite(accumulator)
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, "capacity n"]:
         times, _ = accumulator
@@ -208,6 +212,9 @@ class AbstractSection(AbstractObserver):
         a, fa, b, fb, _ = lax.fori_loop(0, trials, nearer, whole)
         return jnp.where(peaks, a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0), 1.0)
 
+    def finite(self, accumulator: tuple[Array, ...]) -> Bool[Array, ""]:
+        return all_finite(accumulator[:-1], jnp.arange(self.capacity) < accumulator[-1])
+
     def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
         return accumulator[:-1]
 
@@ -224,7 +231,8 @@ class Section(AbstractSection):
     and v' < 0, or "velocity" in the belt's direction, v' = 0 and v'' < 0.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN in the rows
-    beyond the maxima that there were.  With other cells the maximum is that of their first number, and the value contains all m.
+    beyond the maxima that there were.  With other cells the maximum is that of their first number,
+    and the value contains all m.
 
     !!! example
 

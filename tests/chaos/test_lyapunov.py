@@ -20,6 +20,7 @@ from jaxchain import (
 )
 from jaxchain.chaos.lyapunov import batch_error, kaplan_yorke_dimension, lyapunov_spectrum
 from jaxchain.cycles.floquet import trace_integral
+from jaxchain.model import MechanicalCells
 from jaxchain.observers.stick_time import MostSticking
 from jaxchain.result import NAMES, code
 
@@ -191,6 +192,32 @@ def test_a_smoothed_cycle_has_the_exponents_of_its_multipliers():
         np.testing.assert_allclose(found.exponents, [0.0, second], atol=1e-6, rtol=1e-6)
         assert float(found.mean_divergence) == pytest.approx(second, rel=1e-6)
         assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=2e-6)
+
+
+def test_a_cell_has_the_exponents_of_the_same_mass_as_a_chain():
+    """At width 1e-2, where the second one shrinks by e^-4 per unit; Liouville's formula agrees."""
+    friction = paper_chain(1, width=1e-2).friction
+    cell = MechanicalCells(1.0, damping=0.1, friction=friction, belt_speed=1.5)
+    start = jnp.array([2.2]), jnp.zeros(1)
+    for how, accuracy in (({}, 0.05), ({"max_step": 0.02, "rtol": 1e-9, "interval": 5.0}, 1e-4)):
+        chain, found = (
+            lyapunov_spectrum(one, start, 60.0, transient=30.0, blocks=2, **how)
+            for one in (paper_chain(1, 1.5, width=1e-2), cell)
+        )
+        np.testing.assert_allclose(found.exponents, chain.exponents, rtol=1e-5, atol=1e-8)
+        assert found.exponents[1] < -3.0
+        assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=accuracy)
+
+
+@pytest.mark.parametrize("width", [None, 0.1])
+def test_directions_that_shrink_fast_are_followed_in_shorter_intervals(width):
+    """With the damping 100 by e^-100 per unit, far below rounding."""
+    friction = paper_chain(1, width=width).friction
+    cell = MechanicalCells(1.0, damping=100.0, friction=friction, belt_speed=1.5)
+    start = jnp.array([0.5]), jnp.zeros(1)
+    found = lyapunov_spectrum(cell, start, 6.0, transient=1.0, blocks=2, max_step=0.01)
+    exact = np.linalg.eigvals(cell.with_(width=0.1).jacobian(0.0, start))
+    np.testing.assert_allclose(found.smooth, sorted(exact.real)[::-1], rtol=0.02)
 
 
 @pytest.mark.long
