@@ -23,8 +23,9 @@ ADVICE = {
         "an adaptive controller."
     ),
     "nonfinite": (
-        "The state is NaN or infinite. Check the initial state and the parameters of this run; "
-        "with a negative damping ratio vibration grows without bound."
+        "The state or a value computed from it is NaN or infinite. Check the initial state and "
+        "the parameters of this run; with a negative damping ratio vibration grows without bound. "
+        "A force or friction law of your own must be finite and have finite derivatives."
     ),
     "solver_failed": (
         "The diffrax solver reported a failure. Loosen `rtol` or choose another solver."

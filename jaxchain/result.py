@@ -7,11 +7,13 @@ import math
 import operator
 import textwrap
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
@@ -89,8 +91,8 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
 
     successful = ""
     nonfinite = (
-        "The search met NaN, infinity or a singular Jacobian at its start. Check the given "
-        "numbers, or start elsewhere."
+        "The search met NaN, infinity or a singular Jacobian, at its start or in its result. "
+        "Check the given numbers, or start elsewhere."
     )
     no_step_helps = (
         "No step reduced the residual. There may be no solution nearby: start closer, or loosen "
@@ -275,9 +277,28 @@ def _text(value: Any, error: Any = None) -> str:
 
 
 class Outcome(Printed, eqx.Module):
-    """The base class of results of searches: how the search ended."""
+    """The base class of results of searches: how the search ended.
+
+    A result with a number that is not finite is never successful, but `nonfinite`, unless the
+    number may be missing: `missing` names the fields in which NaN and infinity have a meaning.
+    """
 
     result: eqx.AbstractVar[SearchResult]
+    missing: ClassVar[tuple[str, ...]] = ()
+
+    def __check_init__(self) -> None:
+        numbers = {
+            field.name: getattr(self, field.name)
+            for field in fields(self)  # pyright: ignore[reportArgumentType]
+            if field.name not in self.missing and not field.metadata.get("static")
+        }
+        ended, nonfinite = code(self.result), code(SearchResult.nonfinite)
+        sound = _finite(numbers, np.ndim(ended))
+        if isinstance(sound, Tracer) or not np.all(sound):
+            failed = (self.result == SearchResult.successful) & ~sound
+            ended = jnp.where(failed, nonfinite, ended)
+            result = eqx.tree_at(lambda r: r._value, self.result, ended)
+            object.__setattr__(self, "result", result)  # the module is still being made
 
     @property
     def successful(self) -> Bool[Array, "*batch"]:
@@ -288,6 +309,20 @@ class Outcome(Printed, eqx.Module):
     def message(self) -> str:
         """The reason of a failure, with a remedy, for one search; empty after success."""
         return advice_of(self.result)
+
+
+def _finite(tree: Any, batch: int) -> Any:
+    """Whether all floats in a tree are finite, except in modules; of shape (*batch,)."""
+    leaves = jax.tree.leaves(tree, is_leaf=lambda leaf: isinstance(leaf, eqx.Module))
+    sound = np.True_
+    for leaf in leaves:
+        if not isinstance(leaf, float | np.ndarray | np.generic | jax.Array):
+            continue
+        traced = isinstance(leaf, Tracer)
+        # Nothing is compiled for concrete arrays.
+        xp, array = (jnp, lax.stop_gradient(leaf)) if traced else (np, np.asarray(leaf))
+        sound = sound & xp.all(xp.isfinite(array), axis=tuple(range(batch, array.ndim)))
+    return sound
 
 
 # In the order of the enumerations' integer values, for labels and reports.  equinox offers no

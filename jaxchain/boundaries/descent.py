@@ -33,6 +33,7 @@ class HopfDescent(Outcome):
     See `hopf_by_descent` for an example.
     """
 
+    missing = ("speeds", "growth_rates")
     belt_speed: Float[Array, ""]
     growth_rate: Float[Array, ""]
     steps: Int[Array, ""]
@@ -122,6 +123,7 @@ class FoldDescent(Outcome):
     See `fold_by_descent` for an example.
     """
 
+    missing = ("scaled_peak_velocities", "belt_speeds")
     belt_speed: Float[Array, ""]
     slope: Float[Array, ""]
     result: SearchResult

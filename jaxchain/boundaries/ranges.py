@@ -52,6 +52,16 @@ class StabilityRange(Outcome):
     See `stability_range` for an example.
     """
 
+    missing = (
+        "hopf",
+        "fold",
+        "hopf_dry",
+        "hopf_dry_error",
+        "fold_dry",
+        "fold_dry_error",
+        "fold_limit",
+        "fold_limit_error",
+    )
     hopf: Float[Array, ""]
     fold: Float[Array, ""]
     highest: Float[Array, ""]

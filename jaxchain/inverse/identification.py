@@ -80,6 +80,7 @@ class Identification(Outcome):
     See `identify` for an example.
     """
 
+    missing = ("standard_errors", "covariance", "correlation", "condition", "phase")
     theta: PyTree
     chain: Chain
     standard_errors: PyTree

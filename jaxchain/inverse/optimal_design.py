@@ -51,6 +51,7 @@ class Design(Outcome):
     See `design` for an example.
     """
 
+    missing = ("angle", "path", "costs", "aims")
     theta: PyTree
     chain: Chain
     cost: Float[Array, ""]

@@ -200,8 +200,9 @@ class MechanicalCells(AbstractCells):
             raise ValueError(
                 f"Argument `{name}` must have shape {shape}, as in these cells, but is one "
                 f"number, {shown(number)}, which would act on all {self.d} displacements: give "
-                f"all entries, such as `cells.{name}.at[{entry}].set(0.2)`. A sweep does so by `vary`: "
-                f"`lambda cells, size: cells.with_({name}=cells.{name}.at[{entry}].set(size))`."
+                f"all entries, such as `cells.{name}.at[{entry}].set(0.2)`. A sweep does so by "
+                f"`vary`: `lambda cells, size: "
+                f"cells.with_({name}=cells.{name}.at[{entry}].set(size))`."
             )
 
     @property

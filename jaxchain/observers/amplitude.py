@@ -15,7 +15,7 @@ from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from .base import AbstractObserver, Step, Variable, renamed, window_fits
+from .base import AbstractObserver, Step, Variable, all_finite, renamed, window_fits
 from .quantities import active, energy
 
 
@@ -190,6 +190,9 @@ class Amplitude(AbstractObserver):
 
     def rests(self, accumulator: _AmplitudeState) -> Bool[Array, ""]:
         return jnp.asarray(False) if accumulator.rest is None else accumulator.rest.quiet
+
+    def finite(self, accumulator: _AmplitudeState) -> Bool[Array, ""]:
+        return all_finite(self.read(accumulator))
 
     def read(self, accumulator: _AmplitudeState) -> Float[Array, " n"]:
         if accumulator.history is not None:

@@ -266,6 +266,17 @@ class Variable(eqx.Module):
     is_count: bool = eqx.field(static=True, default=False)
 
 
+def all_finite(tree: Any, exists: Any = True) -> Bool[Array, ""]:
+    """Whether all floats of a tree are finite; with `exists` (k,) in the rows that do."""
+    sound = jnp.asarray(True)
+    for leaf in jtu.tree_leaves(tree):
+        if eqx.is_inexact_array(leaf):
+            there = jnp.asarray(exists)
+            there = there.reshape(there.shape + (1,) * (leaf.ndim - there.ndim))
+            sound &= jnp.all(jnp.isfinite(leaf) | ~there)
+    return sound
+
+
 def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:
     """Whether a run over [t0, t1] is at least `window` long, to rounding; None always fits."""
     return True if window is None else t1 - t0 >= window - 1e-12 * (abs(t0) + abs(t1) + window)
@@ -374,6 +385,14 @@ class AbstractObserver(eqx.Module):
         """Whether a run over [t0, t1] contains the observed part, such as a window."""
         del t0, t1
         return True
+
+    def finite(self, accumulator: Any) -> Bool[Array, ""]:
+        """Whether all values that exist are finite; a run in which one is not is `nonfinite`.
+
+        By default nothing is known: NaN may stand for a value that does not exist.
+        """
+        del accumulator
+        return jnp.asarray(True)
 
     def settled(self, accumulator: Any) -> Bool[Array, ""] | None:
         """Whether the value is final; None if it never is before the end."""

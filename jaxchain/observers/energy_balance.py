@@ -9,13 +9,13 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from ..model.chain import Chain
-from .base import AbstractObserver, Step, Variable
+from .base import AbstractObserver, Step, Variable, all_finite
 
 
 @final
@@ -44,6 +44,9 @@ class Divergence(AbstractObserver):
     def update(self, accumulator: Any, step: Step) -> Any:
         step = step.frozen()
         return lax.stop_gradient(accumulator + step.integral(step.field.divergence))
+
+    def finite(self, accumulator: Any) -> Bool[Array, ""]:
+        return all_finite(accumulator)
 
     def read(self, accumulator: Any) -> Float[Array, ""]:
         return accumulator
@@ -104,6 +107,9 @@ class EnergyBalance(AbstractObserver):
             return jnp.stack([work, jnp.sum(damping * v - force * w)])
 
         return gained + step.integral(powers, 3), start, _stored(field, *step.y1)
+
+    def finite(self, accumulator: Any) -> Bool[Array, ""]:
+        return all_finite(accumulator)
 
     def read(self, accumulator: Any) -> Float[Array, "3"]:
         gained, start, end = accumulator

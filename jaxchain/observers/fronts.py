@@ -20,7 +20,7 @@ from .._internals import unvmap_any
 from .._statistics import student_reach
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from .base import AbstractObserver, Step, Variable
+from .base import AbstractObserver, Step, Variable, all_finite
 from .quantities import active_above
 
 # The least distances, in masses, of a front from the middle of its block and from the far side of
@@ -189,6 +189,9 @@ class FrontTrack(AbstractObserver):
         n = acc.low.shape[0]
         out = ~(apart(acc.fronts.right, n) | apart(acc.fronts.left, n))
         return jnp.any(out & (jnp.arange(self.windows) < acc.index))
+
+    def finite(self, accumulator: _Watch) -> Bool[Array, ""]:
+        return all_finite(accumulator.fronts, jnp.arange(self.windows) < accumulator.index)
 
     def read(self, accumulator: _Watch) -> Fronts:
         return accumulator.fronts

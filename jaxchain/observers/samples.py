@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import (
     check_finite,
@@ -31,7 +31,7 @@ from .._final import final
 from .._internals import unvmap_any, while_loop
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from .base import AbstractNotingObserver, Step, Variable, states_at_times
+from .base import AbstractNotingObserver, Step, Variable, all_finite, states_at_times
 
 
 @final
@@ -234,6 +234,9 @@ class Samples(AbstractNotingObserver):
             return _Samples(kept.first, kept.count + jnp.sum(here), parts)
 
         return lax.while_loop(any_left, keep, accumulator)
+
+    def finite(self, accumulator: _Samples) -> Bool[Array, ""]:
+        return all_finite(accumulator.parts, jnp.arange(self.capacity) < accumulator.count)
 
     def read(self, accumulator: _Samples) -> tuple[Array, ...]:
         index = jnp.arange(self.capacity)

@@ -9,14 +9,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_positive_number, to_float
 from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
-from .base import AbstractObserver, Step, Variable, window_fits, zeros
+from .base import AbstractObserver, Step, Variable, all_finite, window_fits, zeros
 
 
 @final
@@ -76,6 +76,9 @@ class StickTime(AbstractObserver):
 
         gained = lax.cond(unvmap_any(watching), time, lambda: jnp.zeros_like(total))
         return jnp.where(watching, total + gained, total), start
+
+    def finite(self, accumulator: tuple[Array, Array]) -> Bool[Array, ""]:
+        return all_finite(accumulator)
 
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
         return accumulator[0]

@@ -327,7 +327,8 @@ class EventDrivenPlan(AbstractPlan):
         unfinished = progress.running & (progress.t < t1)
         result = Result.where(unfinished, Result.max_steps_reached, progress.result)
         progress = eqx.tree_at(lambda p: p.result, progress, result)
-        return progress, [record.read() for record in records]
+        saved = [record.read() for record in records]
+        return self.checked(progress, saved), saved
 
     def _gather(
         self, carry: tuple[Progress, list[StateRecord]], notes: list, count: Array

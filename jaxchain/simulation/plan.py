@@ -7,6 +7,8 @@ lets an ensemble refill its lanes.
 from __future__ import annotations
 
 import abc
+import functools
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any, Literal
 
@@ -21,8 +23,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 from .._internals import buffer_at_set, nondifferentiable_backward, unvmap_any, while_loop
 from .._types import State
 from ..model.cells import AbstractField
-from ..observers.base import AbstractObserver
-from ..result import Result
+from ..observers.base import AbstractObserver, all_finite
+from ..result import Result, ended_well
 
 # States of a run kept for reverse mode; others are computed again.
 CHECKPOINTS = 1024
@@ -203,8 +205,8 @@ class AbstractPlan(eqx.Module):
         Both count every step that is tried, accepted or rejected, and None is no limit; `allowed`,
         of at least 1, may be traced: one program serves any number.
 
-        **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached)
-        and the states at each array of `times`.
+        **Returns:** the new progress (whose result is `max_steps_reached` if t1 was not reached,
+        see also `checked`) and the states at each array of `times`.
 
         `adjoint`: `diffrax.ForwardMode()` (None) or `diffrax.RecursiveCheckpointAdjoint()`, for
         derivatives of one kind each.  With `recorded` those of both kinds hold along the same
@@ -215,6 +217,14 @@ class AbstractPlan(eqx.Module):
         """The observed values."""
         pairs = zip(self.observers, progress.accumulators, strict=True)
         return [observer.read(accumulator) for observer, accumulator in pairs]
+
+    def checked(self, progress: Progress, saved: Any) -> Progress:
+        """The progress; `nonfinite` if a saved state, or an observed value that exists, is not."""
+        pairs = zip(self.observers, progress.accumulators, strict=True)
+        sound = functools.reduce(operator.and_, [o.finite(a) for o, a in pairs], all_finite(saved))
+        failed = ended_well(progress.result) & ~sound
+        result = Result.where(failed, Result.nonfinite, progress.result)
+        return eqx.tree_at(lambda p: p.result, progress, result)
 
     def settled(self, accumulators: list, result: Result) -> Result:
         """The result of a run that goes on, or ends because all observers have settled."""

@@ -272,6 +272,7 @@ class SmoothedPlan(AbstractPlan):
             field, progress, t1, most, adjoint, times=times, repeated=repeated, step=step
         )
         saved = [record.read() for record in records]
+        new = self.checked(new, saved)
         if isinstance(adjoint, dfx.ForwardMode):
             return forward_only((new, saved))
         return new, saved

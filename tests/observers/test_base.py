@@ -21,8 +21,11 @@ from jaxchain import (
     equation_8,
     paper_chain,
     simulate,
+    sweep,
 )
-from jaxchain.observers import AbstractObserver, Step, delays
+from jaxchain.model import MechanicalCells
+from jaxchain.observers import AbstractObserver, Divergence, Step, delays
+from jaxchain.result import NAMES
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 OMEGA = np.array([1.0, 1.5])
@@ -236,3 +239,23 @@ def test_bad_input_is_named():
         Amplitude(stop="quiet")
     with pytest.raises(ValueError, match=r"`oscillator` must be an integer in 0 ... 1, but is 5"):
         simulate(FREE, START, 1.0, observe=Section(oscillator=5))
+
+
+@pytest.mark.parametrize("segments", [None, 2])
+def test_an_observed_value_that_is_not_finite_is_a_failure(segments):
+    """The force has no derivative at v = 0, where the first step starts; its state is finite."""
+    cells = MechanicalCells(1.0, local_force=lambda q, v: (-0.1 * jnp.sqrt(v[0] ** 2),))
+    start = jnp.zeros(1), jnp.zeros(1)
+    how = {"solver": dfx.Tsit5(), "segments": segments}
+    run = simulate(cells, start, 1.0, observe=Divergence(), throw=False, **how)
+    assert run.outcome == "nonfinite"
+    assert np.isfinite(run.state).all()
+    with pytest.raises(RuntimeError, match="`nonfinite`: The state or a value"):
+        simulate(cells, start, 1.0, observe=Divergence(), **how)
+    # Without maxima there are no values, which is no failure.
+    watch = Amplitude(), PeakTimes(3), Section(0, 3)
+    assert simulate(cells, start, 1.0, observe=watch, **how).outcome == "successful"
+    over = {"stiffness": [1.0, 2.0]}
+    with pytest.warns(UserWarning, match="2 of 2 runs ended with `nonfinite`"):
+        data = sweep(cells, start, 1.0, over=over, observe=Divergence(), solver=dfx.Tsit5())
+    assert (data.result == NAMES.index("nonfinite")).all()
