@@ -280,17 +280,18 @@ class Outcome(Printed, eqx.Module):
     """The base class of results of searches: how the search ended.
 
     A result with a number that is not finite is never successful, but `nonfinite`, unless the
-    number may be missing: `missing` names the fields in which NaN and infinity have a meaning.
+    number may be missing: `may_be_missing` names the fields in which NaN and infinity mean
+    something.
     """
 
     result: eqx.AbstractVar[SearchResult]
-    missing: ClassVar[tuple[str, ...]] = ()
+    may_be_missing: ClassVar[tuple[str, ...]] = ()
 
     def __check_init__(self) -> None:
         numbers = {
             field.name: getattr(self, field.name)
             for field in fields(self)  # pyright: ignore[reportArgumentType]
-            if field.name not in self.missing and not field.metadata.get("static")
+            if field.name not in self.may_be_missing and not field.metadata.get("static")
         }
         ended, nonfinite = code(self.result), code(SearchResult.nonfinite)
         sound = _finite(numbers, np.ndim(ended))

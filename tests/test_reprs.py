@@ -16,6 +16,7 @@ class Found(Outcome):
     path: jax.Array
     result: SearchResult
     missing: float = np.nan
+    may_be_missing = ("missing",)
 
 
 FOUND = Found(

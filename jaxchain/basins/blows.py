@@ -561,7 +561,7 @@ class Blow(Outcome):
     See `gentlest_blow` for an example.
     """
 
-    missing = ("sizes", "angle")
+    may_be_missing = ("sizes", "angle")
     size: Float[Array, ""]
     kick: Float[Array, " n"]
     mass: Int[Array, ""]

@@ -398,7 +398,7 @@ class EdgeState(Outcome):
     See `edge_state` for an example.
     """
 
-    missing = ("period", "gap", "times", "amplitudes", "distances")
+    may_be_missing = ("period", "gap", "times", "amplitudes", "distances")
     chain: AbstractField
     state: State
     below: State

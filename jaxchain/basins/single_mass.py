@@ -479,7 +479,7 @@ class SlidingBasin(Outcome):
     See `sliding_basin` for an example.
     """
 
-    missing = ("state", "period", "up", "down")
+    may_be_missing = ("state", "period", "up", "down")
     share: Float[Array, ""]
     area: Float[Array, ""]
     state: State

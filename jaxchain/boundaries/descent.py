@@ -33,7 +33,7 @@ class HopfDescent(Outcome):
     See `hopf_by_descent` for an example.
     """
 
-    missing = ("speeds", "growth_rates")
+    may_be_missing = ("speeds", "growth_rates")
     belt_speed: Float[Array, ""]
     growth_rate: Float[Array, ""]
     steps: Int[Array, ""]
@@ -123,7 +123,7 @@ class FoldDescent(Outcome):
     See `fold_by_descent` for an example.
     """
 
-    missing = ("scaled_peak_velocities", "belt_speeds")
+    may_be_missing = ("scaled_peak_velocities", "belt_speeds")
     belt_speed: Float[Array, ""]
     slope: Float[Array, ""]
     result: SearchResult

@@ -498,7 +498,7 @@ class Fold(Outcome):
     See `find_fold` for an example.
     """
 
-    missing = ("scaled_peak_velocity",)
+    may_be_missing = ("scaled_peak_velocity",)
     belt_speed: Float[Array, ""]
     period: Float[Array, ""]
     state: State

@@ -52,7 +52,7 @@ class StabilityRange(Outcome):
     See `stability_range` for an example.
     """
 
-    missing = (
+    may_be_missing = (
         "hopf",
         "fold",
         "hopf_dry",

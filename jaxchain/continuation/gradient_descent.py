@@ -35,7 +35,7 @@ class Descent(Outcome):
       the solution, and later entries are NaN.
     """
 
-    missing = ("path", "losses")
+    may_be_missing = ("path", "losses")
     solution: PyTree
     loss: Float[Array, ""]
     steps: Int[Array, ""]

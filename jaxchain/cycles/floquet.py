@@ -349,7 +349,7 @@ class LimitCycle(Outcome):
     See `find_limit_cycle` for an example.
     """
 
-    missing = ("liouville_defect",)
+    may_be_missing = ("liouville_defect",)
     chain: AbstractField
     state: State
     period: Float[Array, ""]

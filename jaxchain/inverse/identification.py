@@ -80,7 +80,7 @@ class Identification(Outcome):
     See `identify` for an example.
     """
 
-    missing = ("standard_errors", "covariance", "correlation", "condition", "phase")
+    may_be_missing = ("standard_errors", "covariance", "correlation", "condition", "phase")
     theta: PyTree
     chain: Chain
     standard_errors: PyTree

@@ -51,7 +51,7 @@ class Design(Outcome):
     See `design` for an example.
     """
 
-    missing = ("angle", "path", "costs", "aims")
+    may_be_missing = ("angle", "path", "costs", "aims")
     theta: PyTree
     chain: Chain
     cost: Float[Array, ""]
