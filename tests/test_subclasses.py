@@ -424,6 +424,18 @@ def test_an_observer_is_honoured_in_runs_and_sweeps(width):
     assert data.steps_seen.values == 2 * data.steps.values
 
 
+class Unsound(Count):
+    def finite(self, accumulator):
+        return accumulator < 1.0
+
+
+@honours(AbstractObserver, "finite")
+def test_an_observer_decides_whether_its_value_is_finite():
+    chain = jc.paper_chain(1, width=None)
+    run = jc.simulate(chain, jc.equation_8(chain, 1), 5.0, observe=Unsound(), throw=False)
+    assert run.outcome == "nonfinite"
+
+
 class Late(AbstractObserver):
     """What is so only after the time 60."""
 
