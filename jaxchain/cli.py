@@ -46,10 +46,6 @@ _BOUNDARIES = (
     *("hopf", "hopf_dry", "hopf_dry_error", "fold", "fold_dry", "fold_dry_error"),
     *("fold_limit", "fold_limit_error"),
 )
-_NO_HOPF = (
-    "steady sliding is stable at every belt speed, or at no high one: friction weakens too little "
-    "for the damping, or damping does not exceed 0"
-)
 _NO_FOLD = (
     "no fold was found: one mass cannot vibrate, or its vibration sets in supercritically at the "
     "Hopf speed, or there is no damping to end it, or the search failed "
@@ -409,9 +405,11 @@ def _basins(options: argparse.Namespace) -> None:
 
 def _boundary_report(chain: Any, boundaries: Any) -> dict[str, Any]:
     """The output of `jaxchain boundary --json`: numbers, or null with a reason in `missing`."""
+    from .boundaries.ranges import NO_HOPF
+
     reasons = {
-        "hopf": f"{_NO_HOPF}, at this width",
-        "hopf_dry": f"{_NO_HOPF}, for dry friction",
+        "hopf": f"{NO_HOPF}, at this width",
+        "hopf_dry": f"{NO_HOPF}, for dry friction",
         "fold": f"{_NO_FOLD}, at this width",
         "fold_dry": f"{_NO_FOLD}, for dry friction; for several masses, also where the "
         "neighbours reach the speed of the belt",

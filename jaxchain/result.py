@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import functools
-import math
 import operator
-import textwrap
 from dataclasses import fields
 from typing import Any, ClassVar
 
@@ -19,6 +17,7 @@ from jaxtyping import Array, Bool
 
 from ._final import final
 from ._outcomes import ADVICE, WELL
+from ._printing import Printed, advice_of, is_one, name_of
 
 
 class _Outcomes(type(eqx.Enumeration)):
@@ -29,7 +28,7 @@ class _Outcomes(type(eqx.Enumeration)):
 
     def __getitem__(cls, item: Any) -> str:
         advice = super().__getitem__(item)  # raises for another enumeration
-        return f"{name_of(item)}: {advice}" if advice and _is_one(item) else name_of(item)
+        return f"{name_of(item)}: {advice}" if advice and is_one(item) else name_of(item)
 
 
 @final
@@ -209,73 +208,6 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     )
 
 
-class Printed:
-    """Results print one line per field: numbers with their errors, arrays as their range.
-
-    The error of a field is the field `<name>_error`, or `error` if that comes next.  NaN and empty
-    fields are left out.
-    """
-
-    def __repr__(self) -> str:
-        values = {field.name: getattr(self, field.name, None) for field in fields(self)}  # pyright: ignore[reportArgumentType]
-        title = type(self).__name__
-        lines = []
-        if (result := values.pop("result", None)) is not None:
-            title += f": {name_of(result)}"
-            if _is_one(result) and (advice := advice_of(result)):
-                lines.append(advice.partition(". ")[0])
-        names = [*values]
-        for k, name in enumerate(names):
-            if name == "error" and k and _is_float(values[names[k - 1]]):
-                continue
-            error = values.get(f"{name}_error")
-            if error is None and names[k + 1 : k + 2] == ["error"]:
-                error = values["error"]
-            text = _text(values[name], error if _is_float(values[name]) else None)
-            if not name.endswith("_error") and text not in ("", "nan", "None", "()", "[]"):
-                lines.append(f"{name}: {text}")
-        lines = [textwrap.shorten(line, _WIDTH - 2, placeholder=" ...") for line in lines]
-        if len(lines) > _LINES:
-            lines = [*lines[:_LINES], "..."]
-        return "\n  ".join([title, *lines])
-
-
-_WIDTH, _LINES, _FEW = 79, 9, 4
-
-
-def _is_float(value: Any) -> bool:
-    return isinstance(value, float) or getattr(getattr(value, "dtype", None), "kind", "") == "f"
-
-
-def _text(value: Any, error: Any = None) -> str:
-    if isinstance(value, Tracer | jax.ShapeDtypeStruct):
-        return f"{value.dtype}{list(value.shape)}"
-    if isinstance(value, tuple) and value and isinstance(value[0], jax.Array | np.ndarray):
-        return ", ".join(map(_text, value[:_FEW]))
-    if isinstance(value, eqx.Module) or not isinstance(
-        value, float | np.ndarray | np.generic | jax.Array
-    ):
-        return type(value).__name__ if isinstance(value, eqx.Module) else f"{value}"
-    array = np.asarray(value)
-    if array.ndim:
-        present = array[~np.isnan(array)] if array.dtype.kind in "fc" else array
-        if (array.size <= _FEW and array.ndim == 1) or array.dtype.kind not in "bif":
-            return (
-                f"[{', '.join(_text(one) for one in array)}]"
-                if array.size <= _FEW
-                else f"shape {array.shape}"
-            )
-        return (
-            f"{present.min():.6g} ... {present.max():.6g}, shape {array.shape}"
-            if present.size
-            else ""
-        )
-    if error is None or isinstance(error, Tracer) or not 0 < (error := float(error)) < np.inf:
-        return f"{array:.10g}" if array.dtype.kind in "fc" else str(array)
-    decimals = max(0, -math.floor(math.log10(error)))
-    return f"{array:.{min(decimals, 15)}f} ± {error:.1g}"
-
-
 class Outcome(Printed, eqx.Module):
     """The base class of results of searches: how the search ended.
 
@@ -365,26 +297,3 @@ def ended_as(codes: Any) -> dict[str, int]:
 def message(name: str) -> str:
     """The advice that goes with an outcome, by its name."""
     return advice_of(getattr(Result, name))
-
-
-def advice_of(item: Any) -> str:
-    """The advice for an outcome, empty for success."""
-    return type(eqx.Enumeration).__getitem__(item._enumeration, item)  # pyright: ignore[reportCallIssue]
-
-
-def name_of(item: Any) -> str:
-    """The name of an outcome; for a batch, counts by outcome; for traced ones, a shape."""
-    codes = getattr(item, "_value", item)
-    if not isinstance(codes, int | np.ndarray | jax.Array) or isinstance(codes, Tracer):
-        return "unknown"
-    names = list(item._enumeration._name_to_item)
-    if np.ndim(codes) == 0:
-        return names[int(codes)]
-    counts = zip(*np.unique(codes, return_counts=True), strict=True)
-    return ", ".join(f"{names[value]} {count}" for value, count in counts)
-
-
-def _is_one(item: Any) -> bool:
-    codes: Any = getattr(item, "_value", None)
-    concrete = isinstance(codes, int | np.ndarray | jax.Array) and not isinstance(codes, Tracer)
-    return concrete and np.ndim(codes) == 0

@@ -1,12 +1,25 @@
-"""The `repr` of results."""
+"""The `repr` of models and results."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxchain import SearchResult, paper_chain
-from jaxchain.boundaries import find_fold
+import jaxchain
+from jaxchain import (
+    Amplitude,
+    Chain,
+    ExponentialDecay,
+    Scales,
+    SearchResult,
+    TanhFriction,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.boundaries import find_fold, stability_range
+from jaxchain.inverse import Measurements, identify
+from jaxchain.model import DimensionalParameters, MechanicalCells, TabulatedFriction, VanDerPol
 from jaxchain.result import Outcome, Printed
 
 
@@ -58,10 +71,101 @@ def test_a_real_result_prints_in_at_most_ten_short_lines():
     assert max(map(len, lines)) < 80
 
 
+CLASSES = {
+    cls.__name__: cls
+    for cls in (
+        Chain, DimensionalParameters, ExponentialDecay, MechanicalCells, Scales,
+        TanhFriction, VanDerPol,
+    )
+}  # fmt: skip
+
+
+def test_models_print_as_the_call_that_makes_them_with_the_values_of_their_numbers():
+    law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.25)
+    assert repr(law) == "ExponentialDecay(mu_static=1, mu_dynamic=0.5, v_ref=0.25)"
+    assert repr(Chain(1, law, 1.5)) == (
+        "Chain(n=1, friction=ExponentialDecay(mu_static=1, mu_dynamic=0.5, v_ref=0.25),\n"
+        "  belt_speed=1.5, damping_ratio=0.05, stiffness=1, ends='cyclic')"
+    )
+    scales = Scales.from_dimensional(2.0, 2.0, 200.0, 2.0, 10.0)
+    rows = [[1.0, 0.3], [0.3, 2.0]]
+    for model in (
+        Chain(3, TanhFriction(law, 1e-3), -1.5, 0.1, 0.01, 1.1, 2.0, "free"),
+        MechanicalCells(rows, damping=0.1, friction=law, belt_speed=0.5, names=("a", "b")),
+        VanDerPol([1.0, 2.0], coupling=0.1, ends="free"),
+        scales,
+        scales.parameters(),
+    ):
+        again = eval(repr(model), CLASSES)
+        assert jax.tree.structure(again) == jax.tree.structure(model)
+        assert all(map(np.array_equal, jax.tree.leaves(again), jax.tree.leaves(model)))
+        assert max(map(len, repr(model).splitlines())) < 80
+
+
+def test_long_arrays_functions_and_traced_numbers_of_models_print_short():
+    chain = paper_chain(20).with_(stiffness=np.linspace(0.9, 1.1, 20))
+    assert "stiffness=<0.9 ... 1.1, shape (20,)>" in repr(chain).replace("\n ", "")
+    cells = MechanicalCells(1.0, local_force=lambda q, v: (-(q[0] ** 3),))
+    assert "local_force=<function <lambda>>" in repr(cells).replace("\n ", "")
+    law = TabulatedFriction([0.0, 1.0, 2.0], [1.0, 0.7, 0.6])
+    assert repr(law) == "TabulatedFriction(speed=[0, 1, 2], mu=[1, 0.7, 0.6])"
+    seen = []
+    jax.jit(lambda chain: seen.append(repr(chain)) or chain.belt_speed)(paper_chain(1))
+    assert "belt_speed=f64[], damping_ratio=f64[]" in seen[0].replace("\n ", "")
+    assert "belt_speed=f64[]" in repr(jax.eval_shape(lambda chain: chain, chain))
+    assert "belt_speed=None" in repr(eqx.filter(chain, lambda _: False))
+
+
+def test_programs_and_hashes_do_not_depend_on_what_prints():
+    traced = []
+    speed = jax.jit(lambda chain: traced.append(1) or chain.belt_speed)
+    for belt_speed in (1.0, 1.5):
+        speed(paper_chain(1, belt_speed))
+    assert len(traced) == 1
+
+
+def test_a_fit_prints_its_parameters_with_their_errors():
+    found = identify(
+        paper_chain(n=1, width=None), lambda chain, new: chain.with_(**new),
+        {"v_ref": jnp.asarray(0.6)}, Measurements(hopf=(1.2, 0.05)),
+    )  # fmt: skip
+    text = repr(found)
+    assert "theta: {v_ref: 0.54 ± 0.04}" in text
+    assert "chain: Chain(n=1, friction=ExponentialDecay(" in text
+    assert "Array(" not in text
+
+
+def test_without_a_boundary_its_reason_is_printed_and_not_a_zero():
+    lines = repr(stability_range(paper_chain(1, damping_ratio=0.6))).splitlines()
+    assert lines[1].startswith("  hopf: none: steady sliding is stable at every belt speed")
+    assert lines[2].startswith("  fold: none: damping outweighs the weakening of friction")
+    assert lines[3] == "  highest: no vibration survives at any belt speed"
+    assert not any("width" in line for line in lines)
+    both = repr(stability_range(paper_chain(1, damping_ratio=0.05)))
+    assert "none" not in both
+    assert "width: 0.679" in both
+
+
+def test_notebooks_show_models_and_results_as_an_escaped_table():
+    chain = paper_chain(2, width=None)
+    for shown, part in (
+        (chain, '<td style="text-align: left">1.5</td>'),
+        (chain.friction, ">mu_dynamic</th>"),
+        (
+            simulate(chain, steady_sliding(chain), 1.0, observe=Amplitude()),
+            "Simulation: successful",
+        ),
+        (FOUND, "1.836612346 ± 3e-09"),
+        (MechanicalCells(1.0, local_force=lambda q, v: (q[0],)), "&lt;lambda&gt;"),
+    ):
+        text = shown._repr_html_()
+        assert text.startswith("<table>")
+        assert part in text
+        assert "<lambda>" not in text
+
+
 def test_every_result_prints_alike():
     """A dataclass would bring a `__repr__` of its own."""
-    import jaxchain
-
     for module in jaxchain.SUBMODULES:
         for name in getattr(getattr(jaxchain, module), "__all__", ()):
             cls = getattr(getattr(jaxchain, module), name)

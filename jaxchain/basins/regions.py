@@ -32,6 +32,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
+from .._printing import PrintedAsCall
 from .._types import State
 from ..model.arguments import as_chain
 from ..model.cells import AbstractCells, AbstractField
@@ -68,7 +69,7 @@ def _check_masses(masses: Any) -> None:
         raise ValueError(f"Argument `masses` must be different, but is {shown(masses)}: {_MASSES}")
 
 
-class AbstractRegion(eqx.Module):
+class AbstractRegion(PrintedAsCall, eqx.Module):
     """A region of initial states: a map from the unit cube to states.
 
     Uniform points of the cube give states with the distribution of the region.  A subclass defines

@@ -20,13 +20,18 @@ from ..model.chain import Chain
 from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
-from ..result import Outcome, Printed, SearchResult
+from ..result import Outcome, Printed, SearchResult, advice_of
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
 from .fold import fold_speed_and_peak
 from .hopf import hopf_belt_speed
 from .limit import fold_and_limit
 
+# The reason of a missing Hopf speed, for the command line, too.
+NO_HOPF = (
+    "steady sliding is stable at every belt speed, or at no high one: friction weakens too little "
+    "for the damping, or damping does not exceed 0"
+)
 _WINDOW = 20.0  # in which amplitudes are taken
 
 
@@ -74,6 +79,18 @@ class StabilityRange(Outcome):
     fold_dry_error: Float[Array, ""] | None = None
     fold_limit: Float[Array, ""] | None = None
     fold_limit_error: Float[Array, ""] | None = None
+
+    def _instead(self) -> dict[str, str]:
+        if jnp.ndim(self.hopf) or is_traced(self.hopf, self.fold):
+            return {}
+        no_hopf, no_fold = bool(jnp.isnan(self.hopf)), bool(jnp.isnan(self.fold))
+        texts = {name: f"none: {NO_HOPF}" for name in ("hopf", "hopf_dry") if no_hopf}
+        if no_fold and self.successful:
+            why = advice_of(SearchResult.no_fold).partition(": ")[2].rstrip(".")
+            texts |= dict.fromkeys(("fold", "fold_dry"), f"none: {why}")
+            if no_hopf:
+                texts |= {"highest": "no vibration survives at any belt speed", "width": ""}
+        return texts
 
 
 def stability_range(chain: Chain, mass: Any = None, *, error_bars: Any = False) -> StabilityRange:

@@ -20,6 +20,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import to_float
 from .._final import refuse_overrides
+from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
 from .friction import AbstractFriction
 from .locality import CELLS_FINAL, Dependence, dependence
@@ -42,7 +43,7 @@ class Linearisation(NamedTuple):
     right: Entries
 
 
-class AbstractField(eqx.Module):
+class AbstractField(PrintedAsCall, eqx.Module):
     """What all models share: a `Chain`, other `AbstractOscillators`, and `AbstractCells`.
 
     A vector field in the sense of `diffrax.ODETerm`: `field(t, y)` is the time derivative of a

@@ -31,6 +31,7 @@ from .._checks import (
 )
 from .._computed_once import spread
 from .._final import final, refuse_overrides
+from .._printing import PrintedAsCall
 from .._types import PerMass
 from .parameters import CHAIN, parameter
 
@@ -123,7 +124,7 @@ def _number(name: str) -> Callable[[Any], Array]:
     return named(name, parameter(name).remedy)
 
 
-class AbstractFriction(eqx.Module):
+class AbstractFriction(PrintedAsCall, eqx.Module):
     """F(w), the force on a mass per normal load; w is its velocity relative to the belt.
 
     A subclass has mu(s) as `law`, smoothed or not.

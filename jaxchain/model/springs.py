@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
 from .._final import final
+from .._printing import PrintedAsCall
 from .._types import PerMass
 
 Ends = Literal["cyclic", "free"]
@@ -72,7 +73,7 @@ def neighbours(x: Float[Array, " n"], ends: str) -> tuple[Float[Array, " n"], Fl
 
 
 @final
-class Springs(eqx.Module):
+class Springs(PrintedAsCall, eqx.Module):
     """Nearest-neighbour springs: the off-diagonal part C of the stiffness matrix.
 
     (C x)_n = c_{n-1/2} x_{n-1} + c_{n+1/2} x_{n+1}

@@ -81,6 +81,16 @@ class TabulatedFriction(AbstractFrictionLaw):
         return self.pieces[:2]
 
     @property
+    def speed(self) -> Float[Array, " knots"]:
+        """The speeds of the points."""
+        return self.pieces[0]
+
+    @property
+    def mu(self) -> Float[Array, " knots"]:
+        """The friction coefficients of the points."""
+        return self.pieces[1]
+
+    @property
     def mu_static(self) -> PerMass:
         return self.pieces[1, 0]
 

@@ -20,6 +20,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
+from .._printing import PrintedAsCall
 from .._types import ScalarLike
 
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
@@ -57,13 +58,16 @@ class DimensionalParameters(NamedTuple):
     normal_load: ScalarLike
     """P [N]"""
 
+    __repr__ = PrintedAsCall.__repr__
+    _repr_html_ = PrintedAsCall._repr_html_
+
 
 def _or_none(coupling: Any) -> Float[Array, ""] | None:
     return None if coupling is None else to_float(coupling, "coupling")
 
 
 @final
-class Scales(eqx.Module):
+class Scales(PrintedAsCall, eqx.Module):
     """The units of a dimensionless chain, and its two dimensionless parameters.
 
     The unit of displacement is x0 = P / k, that of time 1 / omega_n, that of velocity x0 omega_n,

@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike
 from .._checks import check_number, check_positive_number, is_traced, shown
 from .._final import final
 from .._limits import LEAST_ACCURACY, LEAST_ATOL, LEAST_RTOL, MOST_ACCURACY
+from .._printing import PrintedAsCall
 from .._types import State
 from ..model.arguments import as_chain
 from ..model.cells import AbstractCells, AbstractField
@@ -189,7 +190,7 @@ _RTOL_PER_WIDTH = 0.1
 
 
 @final
-class Numerics(eqx.Module):
+class Numerics(PrintedAsCall, eqx.Module):
     """The choice of `choose_numerics`: a regularization width, a tolerance and a solver.
 
     - `width`: eps, a speed in units of x0 omega_n; `rtol`: the relative tolerance of the steps.
