@@ -6,7 +6,7 @@ can be built under `jit`, `vmap` and `grad`; shapes are known even there and are
 
 import functools
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -17,6 +17,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from ._limits import LEAST_POSITIVE, MOST_COUNT
+from ._spelling import did_you_mean
 
 # Characters of a value that an error shows.
 _LONGEST = 60
@@ -274,7 +275,23 @@ def check_one_of(name: str, value: object, choices: Sequence[str]) -> None:
     if not isinstance(value, str) or value not in choices:
         words = [f'"{word}"' for word in choices]
         listed = f"{', '.join(words[:-1])} or {words[-1]}"
-        raise ValueError(f"Argument `{name}` must be {listed}, but is {shown(value)}.")
+        near = did_you_mean(value, choices)
+        raise ValueError(f"Argument `{name}` must be {listed}, but is {shown(value)}{near}.")
+
+
+def check_known(of: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Raises `ValueError` if a name is not known to `of`, with the nearest of those that are.
+
+    >>> check_known("`Chain.with_`", ["widht"], ["n", "width"])  # doctest: +ELLIPSIS
+    Traceback (most recent call last):
+        ...
+    ValueError: `Chain.with_` does not know ['widht'] (did you mean `width`?); it takes ...
+    """
+    if unknown := [name for name in names if name not in known]:
+        raise ValueError(
+            f"{of} does not know {unknown}{did_you_mean(unknown[0], known)}; it takes "
+            f"{sorted(known)}."
+        )
 
 
 def check_flag(name: str, value: object) -> None:

@@ -3,6 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxchain import ExponentialDecay, equation_8, paper_chain, sweep
 from jaxchain._checks import (
     check_at_least,
     check_count,
@@ -17,6 +18,8 @@ from jaxchain._checks import (
     require_x64,
     to_float,
 )
+from jaxchain.boundaries import continue_equilibrium
+from jaxchain.model import VanDerPol
 
 CHECKS = [check_finite, check_nonnegative, check_positive]
 
@@ -141,3 +144,37 @@ def test_counts_words_and_shares_that_are_good_pass():
     check_one_of("end", "b", ("a", "b"))
     check_share("p", 0.5)
     jax.jit(lambda p: check_share("p", p))(2.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: paper_chain(1).with_(belt_sped=1.0),
+            r"`Chain.with_` does not know \['belt_sped'\] \(did you mean `belt_speed`\?\);",
+        ),
+        (
+            lambda: ExponentialDecay(1.0, 0.5, 0.5).with_(mu_sttic=1.0),
+            r"`ExponentialDecay.with_` does not know \['mu_sttic'\] \(did you mean `mu_static`",
+        ),
+        (lambda: VanDerPol(1.0).with_(coupeling=1.0), r"`VanDerPol.with_` .* mean `coupling`"),
+        (
+            lambda: sweep(paper_chain(1), equation_8, 1.0, over={"damping_rate": [0.1]}),
+            r"names 'damping_rate', .* or `vary` \(did you mean `damping_ratio`\?\); allowed are",
+        ),
+        (
+            lambda: check_one_of("of", "velosity", ("displacement", "velocity")),
+            r"but is 'velosity' \(did you mean `velocity`\?\)\.$",
+        ),
+        (
+            lambda: continue_equilibrium(
+                paper_chain(1), (jnp.ones(1), jnp.zeros(1)), "belt-speed", (1.0, 2.0)
+            ),
+            r"but is 'belt-speed' \(did you mean `belt_speed`\?\)\.$",
+        ),
+        (lambda: check_one_of("end", "xyz", ("top", "bottom")), r"but is 'xyz'\.$"),
+    ],
+)
+def test_a_misspelt_name_is_refused_with_the_nearest_known_one(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

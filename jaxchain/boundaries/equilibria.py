@@ -27,6 +27,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
+from .._spelling import did_you_mean
 from .._types import State
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import Branch, Labels, joined
@@ -328,7 +329,8 @@ def _check_parameter(chain: Any, parameter: Any) -> None:
     if not isinstance(parameter, str) or parameter not in numbers:
         raise ValueError(
             f"Argument `parameter` must be one of {sorted(numbers)}, the numbers of the model "
-            f"that are the same for all cells, but is {shown(parameter)}."
+            f"that are the same for all cells, but is {shown(parameter)}"
+            f"{did_you_mean(parameter, numbers)}."
         )
 
 

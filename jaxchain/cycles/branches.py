@@ -21,6 +21,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from .._checks import check_concrete, check_kind, check_one_of, check_whole, shown
 from .._final import final
+from .._spelling import did_you_mean
 from .._types import State
 from ..continuation.arclength import (
     Switched,
@@ -765,7 +766,8 @@ def continue_cycle(
     if not isinstance(parameter, str) or parameter not in numbers:
         raise ValueError(
             "Argument `parameter` must name a number of the chain, one of "
-            f"{sorted(numbers)}, but is {shown(parameter)}."
+            f"{sorted(numbers)}, but is {shown(parameter)}"
+            f"{did_you_mean(parameter, numbers)}."
         )
     solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=state)
     (images, shift), turns = as_symmetry(images, chain, state, mass), turns_of(chain, period)

@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._checks import to_float
+from .._checks import check_known, to_float
 from .._final import refuse_overrides
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
@@ -150,12 +150,8 @@ class AbstractField(PrintedAsCall, eqx.Module):
                 friction = self._given_friction.with_(**numbers)
                 field = eqx.tree_at(lambda f: f.friction, field, friction)
         converters = {f.name: f.metadata.get("converter", to_float) for f in fields(self)}
+        check_known(f"`{type(self).__name__}.with_`", changes, known)
         for name, value in changes.items():
-            if name not in known:
-                raise ValueError(
-                    f"`{type(self).__name__}.with_` does not know {name!r}; it takes "
-                    f"{sorted(known)}."
-                )
             number = to_float(converters.get(name, to_float)(value))
             self._check_change(name, number)
             field = eqx.tree_at(operator.attrgetter(self._place(name)), field, number)

@@ -13,7 +13,15 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from .._checks import check_kind, check_one_of, check_whole, is_traced, shown, to_float
+from .._checks import (
+    check_kind,
+    check_known,
+    check_one_of,
+    check_whole,
+    is_traced,
+    shown,
+    to_float,
+)
 from .._computed_once import spread
 from .._final import final
 from .._types import PerMass, ScalarLike, State
@@ -234,11 +242,7 @@ class Chain(AbstractOscillators):
             **_chain_numbers(self),
         }
         friction = [*self.friction.numbers(), "width"]
-        unknown = [name for name in changes if name not in fields and name not in friction]
-        if unknown:
-            raise ValueError(
-                f"`Chain.with_` does not know {unknown}; it takes {sorted([*fields, *friction])}."
-            )
+        check_known("`Chain.with_`", changes, [*fields, *friction])
         of_friction = {name: changes.pop(name) for name in friction if name in changes}
         fields |= changes
         if of_friction:

@@ -21,6 +21,7 @@ from jaxtyping import Array, ArrayLike, Float
 from .._checks import (
     check_at_least,
     check_finite,
+    check_known,
     check_nonnegative,
     check_per_mass,
     check_positive,
@@ -235,6 +236,7 @@ class AbstractFrictionLaw(AbstractFriction):
     def with_(self, **changes: Any) -> Any:
         width = changes.pop("width", None)
         values = {f.name: getattr(self, f.name) for f in fields(self)}
+        check_known(f"`{type(self).__name__}.with_`", changes, [*values, "width"])
         law = type(self)(**{**values, **changes}) if changes else self
         return law if width is None else TanhFriction(law, width)
 

@@ -21,6 +21,7 @@ from .._checks import (
 )
 from .._final import final
 from .._printing import PrintedAsCall
+from .._spelling import did_you_mean
 from .._types import ScalarLike
 
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
@@ -178,8 +179,9 @@ class Scales(PrintedAsCall, eqx.Module):
                 return self.force
             case "frequency":
                 return self.angular_frequency
+        near = did_you_mean(quantity, get_args(Quantity))
         allowed = ", ".join(get_args(Quantity))
-        raise ValueError(f"Argument `quantity` must be one of {allowed}, but is {quantity}.")
+        raise ValueError(f"Argument `quantity` must be one of {allowed}, but is {quantity}{near}.")
 
     def to_dimensionless(
         self, value: Float[ArrayLike, "..."], quantity: Quantity

@@ -30,6 +30,7 @@ from .._checks import (
     numbers_of,
     shown,
 )
+from .._spelling import did_you_mean
 from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_state
 from ..model.cells import AbstractCells, AbstractField
@@ -215,7 +216,7 @@ def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any
         if given not in names and given not in range(len(names)):
             raise ValueError(
                 f"Argument `{key}` must be one of {', '.join(names)}, or its number from 0, but "
-                f"is {shown(given)}."
+                f"is {shown(given)}{did_you_mean(given, names)}."
             )
         k = names.index(given) if given in names else int(given)
         attrs = {"units": _UNITS.get(names[k], "")}

@@ -23,6 +23,7 @@ import numpy as np
 
 from .. import observers, solvers
 from .._checks import to_float
+from .._spelling import did_you_mean
 from .._types import State
 from ..model import friction, initial_states, ready_made
 from ..model.arguments import as_state
@@ -35,7 +36,7 @@ from ..observers.base import AbstractObserver
 from ..simulation.accuracy import check_resolved, fit_linear_solve
 from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
-from .files import SceneError, did_you_mean
+from .files import SceneError
 from .scene import (
     AbstractExperiment,
     AnyExperiment,

@@ -5,16 +5,17 @@ This module needs neither JAX nor pydantic, so that listing the scenes is fast.
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import re
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
+
+from .._spelling import did_you_mean
 
 # The most problems shown, and the most bytes of a scene file.
 MOST_SHOWN, MOST_BYTES = 50, 10 * 10**6
@@ -47,13 +48,6 @@ class SceneError(Exception):
         count = "an error" if len(self.problems) == 1 else f"{len(self.problems)} errors"
         lines = [f"scene {shortened(self.name, 1000)} has {count}:"]
         return "\n".join([*lines, *(f"  {shortened(p, 1000)}" for p in self.problems)])
-
-
-def did_you_mean(word: str, allowed: Iterable[str]) -> str:
-    """ " (did you mean `...`?)", or nothing if no allowed word is near."""
-    names = {name.lower(): name for name in allowed}
-    near = difflib.get_close_matches(word[:50].lower(), names, n=1)
-    return f" (did you mean `{names[near[0]]}`?)" if near else ""
 
 
 def shortened(text: str, most: int) -> str:

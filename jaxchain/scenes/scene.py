@@ -37,6 +37,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from .._final import final
 from .._limits import MOST_LANES, MOST_STORED, MOST_UNSTORED
+from .._spelling import did_you_mean
 from ..model.parameters import CHAIN, FRICTION, parameter
 from ..plotting.groups import CYCLES, DRY
 from . import tables
@@ -46,7 +47,6 @@ from .files import (
     as_key,
     as_value,
     builtin_scenes,
-    did_you_mean,
     read_scene,
     shortened,
 )

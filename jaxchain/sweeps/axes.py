@@ -20,6 +20,7 @@ from jaxtyping import Array
 
 from .._checks import check_finite, check_function, check_kind, check_whole
 from .._limits import MOST_LANES
+from .._spelling import did_you_mean
 from ..model.cells import AbstractField
 from ..model.chain import Chain, chain_number, require_smoothed
 from ..model.parameters import CHAIN
@@ -64,10 +65,11 @@ def check_axes(
             if name == "width" and name not in of_functions:
                 require_smoothed(chain, "to sweep `width` ")
             if name not in [*numbers, *of_functions]:
+                known = sorted({*numbers, *of_functions})
                 raise ValueError(
                     f"Argument `over` names {name!r}, which is neither a number of the chain nor "
-                    f"a parameter of `initial` or `vary`; allowed are "
-                    f"{sorted({*numbers, *of_functions})}."
+                    f"a parameter of `initial` or `vary`{did_you_mean(name, known)}; allowed are "
+                    f"{known}."
                 )
             _check_column(dim, name, columns, name not in numbers)
             if name in numbers:

@@ -458,7 +458,7 @@ def test_with_changes_one_number(cls):
             np.testing.assert_array_equal(
                 number, (0.9 if other == name else 1.0) * cells.numbers()[other]
             )
-    with pytest.raises(ValueError, match="does not know 'nothing'"):
+    with pytest.raises(ValueError, match=r"does not know \['nothing'\]"):
         cells.with_(nothing=1.0)
 
 
