@@ -105,9 +105,19 @@ def _check_column(dim: str, name: str, columns: dict[str, np.ndarray], arrays: b
     values = columns[name]
     label = f"over[{dim!r}]" if name == dim else f"over[{dim!r}][{name!r}]"
     if values.size == 0 or not (values.ndim == 1 or (arrays and values.ndim > 1)):
+        remedy = "."
+        if arrays:
+            remedy = ": its first axis is that of the runs."
+        elif values.ndim > 1 and values.size:
+            remedy = (
+                f": for one {name} per mass and run, give a function `vary=lambda chain, numbers: "
+                f"chain.with_({name}=numbers)` and these values as "
+                '`over={"sample": {"numbers": ...}}`, or random ones by '
+                "`jaxchain.localization.mistuned_chain`."
+            )
         raise ValueError(
             f"Argument `{label}` must be a non-empty one-dimensional array, but has shape "
-            f"{values.shape}" + (": its first axis is that of the runs." if arrays else ".")
+            f"{values.shape}{remedy}"
         )
     first = next(iter(columns))
     if len(values) != len(columns[first]):

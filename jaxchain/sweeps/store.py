@@ -3,6 +3,7 @@
     NAME.zarr/ one group, over the dimensions of `over`, for `xarray.open_zarr` at
                                 any time: for unfinished runs `result` is "pending", the rest NaN
     NAME.zarr/jaxchain/ its attributes: all that determines the numbers; the grid, its chunks
+    NAME.zarr/result/wall_time_s the seconds of all calls so far; arrays may hold other files
 
 A *unit* is a block of the grid, one chunk of every variable; it is computed and lost as a whole.
 Its chunks reach the disk before that of `result` is written, so that a unit is done if and only if
@@ -22,6 +23,7 @@ import json
 import math
 import os
 import shutil
+import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
 
     from .axes import Axes, Grid, Key
 
-_FORMAT, _LAYOUT = 2, "jaxchain"
+_FORMAT, _LAYOUT, _SPENT = 2, "jaxchain", "wall_time_s"
 _NAMES = list(ADVICE)
 _PENDING = _NAMES.index("pending")
 # Values of a coordinate in one file.
@@ -81,6 +83,8 @@ class Store:
         self.path, self.grid, self.lanes = path, grid, fingerprint["lanes"]
         self._arrays: dict[str, Any] = {}
         self._lock: int | None = None
+        self.started = time.perf_counter() - _time_spent(path)
+        """The start of this call, earlier by the time that former calls took."""
         wanted = {
             "format": _FORMAT,
             "fingerprint": fingerprint,
@@ -160,6 +164,9 @@ class Store:
                 files[-1].unlink(missing_ok=True)
                 part = tuple(region.get(str(dim), slice(None)) for dim in encoded.dims)
                 array[part] = encoded.values
+            spent = self.path / "result" / f"{_SPENT}.partial"
+            spent.write_text(f"{time.perf_counter() - self.started:.3f}\n")
+            spent.replace(spent.with_suffix(""))
 
     def finish(self, attrs: Mapping[str, Any]) -> dict[str, int]:
         """Counts the runs by their outcome; updates the attributes of a store that was written."""
@@ -210,6 +217,14 @@ def read_layout(path: Path) -> dict[str, Any] | None:
         return None
 
 
+def _time_spent(path: Path) -> float:
+    """The seconds in which units of a store were computed, by any number of calls."""
+    try:
+        return float((path / "result" / _SPENT).read_text())
+    except (OSError, ValueError):
+        return 0.0
+
+
 def is_whole(path: Path) -> bool:
     """Whether every unit of a store is done."""
     layout = read_layout(path)
@@ -242,9 +257,9 @@ def status_of(path: Path) -> dict[str, Any]:
         raise FileNotFoundError(f"There is no store {path}.")
     results: Counter[str] = Counter()
     ended: list[tuple[float, int]] = []
-    for _, codes, time in _units(path):
+    for _, codes, written in _units(path):
         results.update(_counted(codes))
-        ended.append((time, codes.size))
+        ended.append((written, codes.size))
     lanes, done, rate = math.prod(layout["sizes"].values()), sum(n for _, n in ended), None
     recent = sorted(unit for unit in ended if unit[0] > max(ended)[0] - _RECENT)
     if len(recent) > 1 and recent[-1][0] > recent[0][0]:

@@ -237,7 +237,7 @@ def _fill(
     description: str,
 ) -> Dataset:
     """Computes the missing units, on devices of this process or by workers of a client."""
-    grid, total, started = store.grid, ensemble.total, time.perf_counter()
+    grid, total = store.grid, ensemble.total
     blocks = (ensemble.block(grid, key) for key in store.left)
     try:
         with lane_bar(total, progress, description) as bar:
@@ -252,7 +252,7 @@ def _fill(
                 from .dask_engine import fill_by
 
                 devices_used = fill_by(client, store, ensemble, blocks, bar)
-        _warn_of_failures(store.finish(_circumstances(started, devices_used)))
+        _warn_of_failures(store.finish(_circumstances(store.started, devices_used)))
     except KeyboardInterrupt:
         raise SweepInterrupted(store.dataset(), store.path) from None
     finally:

@@ -5,7 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from jaxchain.sweeps.axes import Grid, check_chunks, chunks_of, jobs
+from jaxchain import equation_8, paper_chain, sweep
+from jaxchain.sweeps.axes import Grid, check_axes, check_chunks, chunks_of, jobs
 
 AXES = {
     "speed": {"speed": np.linspace(1.0, 2.0, 5)},
@@ -32,6 +33,18 @@ def test_blocks_are_the_grid(chunks):
     for name, values in whole.items():
         assert np.array_equal(found[name].reshape(values.shape), values)
     assert sum(block.size for block in blocks) == 30
+
+
+def test_numbers_per_mass_are_sent_to_vary():
+    values = {"stiffness": np.ones((100, 50))}
+    remedy = r"shape \(100, 50\): for one stiffness per mass and run, .*`vary=.*mistuned_chain`"
+    with pytest.raises(ValueError, match=remedy):
+        check_axes(paper_chain(50), equation_8, values)
+    numbers = np.random.default_rng(0).uniform(0.9, 1.1, (2, 3))
+    changed = lambda chain, numbers: chain.with_(stiffness=numbers)  # noqa: E731
+    over = {"sample": {"numbers": numbers, "excited": [1, 1]}}
+    data = sweep(paper_chain(3), equation_8, 5.0, vary=changed, over=over)  # as the error advises
+    assert data.sizes["sample"] == 2
 
 
 def test_a_grid_is_not_made_before_its_blocks_are():

@@ -134,6 +134,28 @@ def test_what_is_not_done_is_pending_and_nan(memory, path, monkeypatch, usual_si
     assert len(units) + len(again) == 15
 
 
+def test_the_wall_time_is_that_of_all_calls(path, monkeypatch, usual_signals):
+    write, units = Store.write, []
+
+    def slow(self, key, data):
+        time.sleep(0.3)
+        write(self, key, data)
+        units.append(key)
+        if len(units) == 1:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.2)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Store, "write", slow)
+        with pytest.raises(SweepInterrupted):
+            small(path)
+        spent = float((path / "result" / "wall_time_s").read_text())
+        whole = small(path)
+    assert spent > 0.3
+    assert whole.attrs["wall_time_s"] > spent + 0.3
+    assert small(path).attrs["wall_time_s"] == whole.attrs["wall_time_s"]
+
+
 DAMAGE = {
     "truncated": lambda file: os.truncate(file, 7),
     "flipped": lambda file: file.write_bytes(file.read_bytes()[:-1] + b"\xff"),
