@@ -36,9 +36,11 @@ from .friction import (
     spread_friction,
 )
 from .oscillators import AbstractOscillators
-from .parameters import CHAIN, parameter
+from .parameters import CHAIN, SPEED, parameter
 from .springs import Ends, Springs
+from .tabulated import TabulatedFriction
 from .tridiagonal import exact_solver
+from .units import Scales
 
 # Numbers beyond these are probably in SI units.
 _PLAUSIBLE = {
@@ -61,7 +63,7 @@ class Chain(AbstractOscillators):
     Papangelo et al., Multiple spatially localized dynamical states in friction-excited oscillator
     chains.
 
-    **Arguments** (all dimensionless; see `jaxchain.Scales` for SI input):
+    **Arguments** (all dimensionless; see `Chain.from_si` for SI units):
 
     - `n`: number of masses.
     - `friction`: a dry friction law such as `ExponentialDecay(...)`, or a smoothed one,
@@ -138,6 +140,70 @@ class Chain(AbstractOscillators):
                     f"Argument `{name}` must be one number{several}, but has shape {shape}: the "
                     f"chain has {self.n} masses and {ends} ends; `jax.vmap` or `sweep` run many."
                 )
+
+    @classmethod
+    def from_si(
+        cls,
+        n: int,
+        friction: Any,
+        belt_speed: Any,
+        *,
+        mass: ScalarLike,
+        damping: ScalarLike,
+        stiffness: ScalarLike,
+        normal_load: ScalarLike,
+        coupling_stiffness: ScalarLike | None = None,
+        ends: str = "cyclic",
+    ) -> tuple[Chain, Scales]:
+        """The chain of a rig given in SI units, and the scales that convert its results.
+
+        **Arguments:** `n`, the number of masses; `friction`, a law of `jaxchain.model`, dry or
+        smoothed, with all speeds (`v_ref`, `width`, those of a table) in m/s; `belt_speed` v_d
+        [m/s]; of each mass `mass` m [kg], `damping` c [N s/m], `stiffness` k [N/m] and
+        `normal_load` P [N]; `coupling_stiffness` k_c [N/m], or None without springs between
+        masses; `ends` as for `Chain`.
+
+        **Returns:** (chain, scales).  The chain is dimensionless, as all results are;
+        `scales.to_dimensional(value, "velocity")` gives them in m/s, and so on.
+
+        **Raises:** `ValueError` as `Scales.from_dimensional` and `Chain`, and for a law of your
+        own, whose speeds are not known.
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Chain, ExponentialDecay, steady_sliding
+        >>> chain, scales = Chain.from_si(
+        ...     1, ExponentialDecay(1.0, 0.5, v_ref=0.25), belt_speed=0.75,
+        ...     mass=2.0, damping=2.0, stiffness=200.0, normal_load=10.0,
+        ... )
+        >>> chain
+        Chain(n=1, friction=ExponentialDecay(mu_static=1, mu_dynamic=0.5, v_ref=0.5),
+          belt_speed=1.5, damping_ratio=0.05, stiffness=1, ends='cyclic')
+        >>> x, v = steady_sliding(chain)
+        >>> print(scales.to_dimensional(x, "displacement").round(6))  # in m
+        [0.026245]
+        """
+        wanted = "a friction law of `jaxchain.model`, or `TanhFriction` of one"
+        check_kind("friction", friction, AbstractFriction, wanted)
+        scales = Scales.from_dimensional(mass, damping, stiffness, coupling_stiffness, normal_load)
+        unit = scales.unit("velocity")
+        law = friction.law
+        if not type(law).__module__.startswith(f"{__package__}."):
+            raise ValueError(
+                f"Argument `friction` is a `{type(law).__name__}`, which may have other speeds "
+                'than `v_ref`: convert them by `Scales.to_dimensionless(value, "velocity")`, and '
+                "use `Chain(...)`."
+            )
+        speeds = {
+            name: value / unit
+            for name, value in friction.numbers().items()
+            if parameter(name).unit == SPEED
+        }
+        if isinstance(law, TabulatedFriction):
+            law = TabulatedFriction(law.speed / unit, law.mu)
+        friction = law.with_(**speeds)
+        speed = to_float(belt_speed, "belt_speed", "give it in m/s.") / unit
+        return cls(n, friction, speed, scales.damping_ratio, scales.coupling, ends=ends), scales
 
     @property
     def law(self) -> AbstractFrictionLaw:

@@ -74,6 +74,10 @@ class ModeCoupling(AbstractCells):
 
     and beyond one of the two modes grows.  The cubic spring bounds it.
 
+    The mass slides at all times: it never sticks, because the direction of the friction force is
+    fixed, also where x' exceeds the speed of the belt.  For flutter with sticking use
+    `MechanicalCells` with friction and the stiffness matrix of both modes.
+
     Source: Hoffmann, Fischer, Allgaier, Gaul, A minimal model for studying properties of the
     mode-coupling type instability in friction induced oscillations, Mechanics Research
     Communications 29 (2002).  The cubic spring and the coupling are additions.

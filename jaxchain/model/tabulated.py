@@ -11,11 +11,19 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from scipy.interpolate import PchipInterpolator
 
-from .._checks import check_kind, numbers_of, to_float
+from .._checks import (
+    check_kind,
+    check_nonnegative,
+    check_number,
+    numbers_of,
+    shown,
+    to_float,
+)
 from .._final import final
 from .._types import PerMass
 from .friction import AbstractFrictionLaw
 from .measured import check_measured, read_curve
+from .units import FROM_SI, Scales
 
 
 @final
@@ -63,17 +71,51 @@ class TabulatedFriction(AbstractFrictionLaw):
         self.pieces = to_float(np.concatenate([s[None], cubics]))
 
     @classmethod
-    def from_csv(cls, path: str | Path) -> TabulatedFriction:
+    def from_csv(
+        cls, path: str | Path, *, scales: Scales | None = None, mu_static: Any = None
+    ) -> TabulatedFriction:
         """Reads a file of two columns, speed and mu: see `read_curve` in `model/measured.py`.
 
-        **Raises:** `ValueError` as the class, or naming a line that is not a pair of numbers;
-        `OSError` if the file does not exist.
+        **Arguments:** `path` of the file; `scales`: if given, speeds are in m/s and are converted;
+        `mu_static`, the friction at rest, for a file without a row at the speed 0.
+
+        **Raises:** `ValueError` as the class, naming a line that is not a pair of numbers, or for
+        a `mu_static` that contradicts the file; `OSError` if the file does not exist.
+
+        >>> import pathlib, tempfile
+        >>> from jaxchain import Scales
+        >>> from jaxchain.model import TabulatedFriction
+        >>> rig = Scales.from_dimensional(2.0, 2.0, 200.0, None, 10.0)  # 0.5 m/s is the speed 1
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "pad.csv")
+        ...     _ = path.write_text("speed (m/s), mu\\n 0.25, 0.7\\n 0.5, 0.6\\n")
+        ...     law = TabulatedFriction.from_csv(path, scales=rig, mu_static=1.0)
+        >>> law
+        TabulatedFriction(speed=[0, 0.5, 1], mu=[1, 0.7, 0.6])
         """
         check_kind("path", path, str | Path, "the name of a file")
+        check_kind("scales", scales, Scales | None, "None or a `Scales`", FROM_SI)
         try:
-            return cls(*read_curve(path))
+            speed, mu = read_curve(path)
         except UnicodeDecodeError:
             raise ValueError(f"Argument `path` = {path} is not a text file in UTF-8.") from None
+        if mu_static is not None:
+            check_nonnegative("mu_static", mu_static, "it is the friction at rest.")
+            check_number("mu_static", mu_static)
+            if speed[:1] == [0.0] and mu[0] != float(mu_static):
+                raise ValueError(
+                    f"Argument `mu_static` is {shown(mu_static)}, but {path} has the friction "
+                    f"{mu[0]:g} at the speed 0: leave one of them out."
+                )
+            if speed[:1] != [0.0]:
+                speed, mu = [0.0, *speed], [float(mu_static), *mu]
+        elif speed and speed[0] > 0:
+            raise ValueError(
+                f"Argument `path` = {path} has no row at the speed 0, its first speed is "
+                f"{speed[0]:g}: give the friction at rest as `mu_static`."
+            )
+        unit = 1.0 if scales is None else float(scales.unit("velocity"))
+        return cls([one / unit for one in speed], mu)
 
     @property
     def table(self) -> Float[Array, "2 knots"]:

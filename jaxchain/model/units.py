@@ -63,6 +63,9 @@ class DimensionalParameters(NamedTuple):
     _repr_html_ = PrintedAsCall._repr_html_
 
 
+FROM_SI = "`Scales.from_dimensional` makes it from SI units."
+
+
 def _or_none(coupling: Any) -> Float[Array, ""] | None:
     return None if coupling is None else to_float(coupling, "coupling")
 
@@ -103,7 +106,7 @@ class Scales(PrintedAsCall, eqx.Module):
     """eta_c, dimensionless; None where nothing joins the masses"""
 
     def __check_init__(self) -> None:
-        remedy = "`Scales.from_dimensional` makes it from SI units."
+        remedy = FROM_SI
         for name in ("angular_frequency", "displacement", "force"):
             check_positive_number(name, getattr(self, name), remedy)
         check_number("damping_ratio", self.damping_ratio, remedy)

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
-from matplotlib.animation import AbstractMovieWriter, FuncAnimation
+from matplotlib.animation import AbstractMovieWriter, FuncAnimation, writers
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -403,7 +403,8 @@ def animate(
     - `masses`: indices of the masses to show; by default up to eight around the one with the
       largest amplitude.
 
-    **Returns:** a matplotlib animation; write it with `save_gif` or its method `save`.
+    **Returns:** a matplotlib animation; write it with `save_gif`, or as a film with its method
+    `save("film.mp4")`, which needs the program ffmpeg.
 
     **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and too few frames.
 
@@ -432,9 +433,28 @@ def animate(
         film.explain()
         page.draw_without_rendering()  # settles the layout once
         page.set_layout_engine("none")
-    return FuncAnimation(
+    return _Animation(
         page, film.show, frames=len(times), interval=1000.0 / frames_per_second, blit=False
     )
+
+
+class _Animation(FuncAnimation):
+    """An animation that asks for a missing ffmpeg before it draws the first frame."""
+
+    def save(self, filename: Any, writer: Any = None, *arguments: Any, **options: Any) -> None:
+        suffix = Path(filename).suffix.lower()
+        of_pillow = suffix in (".gif", ".png", ".apng", ".webp")
+        used = matplotlib.rcParams["animation.writer"] if writer is None else writer
+        if (
+            used == "ffmpeg"
+            and not (writer is None and of_pillow)
+            and not writers.is_available("ffmpeg")
+        ):
+            raise RuntimeError(
+                f"Argument `filename` = {str(filename)!r} needs the program ffmpeg, which is not "
+                "installed: install it, or write a GIF with `save_gif`, which needs nothing else."
+            )
+        super().save(filename, writer, *arguments, **options)
 
 
 def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
@@ -464,7 +484,10 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
     check_kind("path", path, str | Path, "the name of a file")
     path = Path(path)
     if path.suffix.lower() != ".gif":
-        raise ValueError(f"Argument `path` must end with .gif, but is {str(path)!r}.")
+        raise ValueError(
+            f"Argument `path` must end with .gif, but is {str(path)!r}: for other formats, such as "
+            "mp4, use `animation.save(path)`, which needs the program ffmpeg."
+        )
     check_positive_number("dpi", dpi, "100 is usual.")
     timer: Any = animation.event_source
     rate = 1000.0 / timer.interval

@@ -11,6 +11,7 @@ from jaxchain.cycles.averaging import one_mass
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.tabulated import TabulatedFriction
+from jaxchain.model.units import Scales
 from jaxchain.observers.samples import Trajectory
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import build_plan, simulate
@@ -61,6 +62,22 @@ def test_it_is_read_from_a_file(tmp_path):
     file = tmp_path / "mu.csv"
     np.savetxt(file, np.transpose([SPEED, MU]), delimiter=",", header="speed,mu", comments="")
     np.testing.assert_array_equal(TabulatedFriction.from_csv(file).pieces, law().pieces)
+
+
+def test_a_file_of_a_rig_has_speeds_in_m_per_s_and_may_lack_friction_at_rest(tmp_path):
+    file = tmp_path / "mu.csv"
+    rig = Scales.from_dimensional(2.0, 2.0, 200.0, None, 10.0)  # the unit of speed is 0.5 m/s
+    file.write_text("0.25, 0.7\n0.5, 0.6\n")
+    law = TabulatedFriction.from_csv(file, scales=rig, mu_static=1.0)
+    np.testing.assert_allclose(law.table, [[0.0, 0.5, 1.0], [1.0, 0.7, 0.6]], rtol=1e-15)
+    with pytest.raises(ValueError, match=r"first speed is 0\.25: give .* as `mu_static`\.$"):
+        TabulatedFriction.from_csv(file)
+    file.write_text("0, 0.9\n0.25, 0.7\n")
+    assert TabulatedFriction.from_csv(file, mu_static=0.9).mu_static == 0.9
+    with pytest.raises(ValueError, match=r"`mu_static` is 1\.0, but .* has the friction 0\.9 at"):
+        TabulatedFriction.from_csv(file, mu_static=1.0)
+    with pytest.raises(ValueError, match="Argument `scales` must be None or a `Scales`"):
+        TabulatedFriction.from_csv(file, scales=0.5)
 
 
 def test_an_invalid_table_is_refused():

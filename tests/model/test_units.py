@@ -1,9 +1,13 @@
 from typing import get_args
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
+from jaxchain import Chain, ExponentialDecay, TanhFriction, simulate
+from jaxchain.model import AbstractFrictionLaw, TabulatedFriction
 from jaxchain.model.units import Quantity, Scales
 
 # mass [kg], damping [N s/m], stiffness [N/m], coupling stiffness [N/m], normal load [N]: a brake
@@ -130,3 +134,52 @@ def test_a_parameter_that_divides_may_not_be_zero(name):
 @pytest.mark.parametrize("name", ["damping", "coupling_stiffness"])
 def test_damping_and_coupling_may_be_zero(name):
     Scales.from_dimensional(**(GOOD | {name: 0.0}))
+
+
+def test_a_rig_in_si_units_is_a_chain_in_one_call():
+    law = ExponentialDecay(1.0, 0.5, v_ref=0.25)
+    rig = {"mass": 2.0, "damping": 2.0, "stiffness": 200.0, "normal_load": 10.0}
+    chain, scales = Chain.from_si(
+        3, TanhFriction(law, 0.005), 0.75, coupling_stiffness=2.0, ends="free", **rig
+    )
+    expected = Chain(
+        3, TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), 0.01), 1.5, 0.05, 0.01, ends="free"
+    )
+    assert jax.tree.structure(chain) == jax.tree.structure(expected)
+    for a, b in zip(jax.tree.leaves(chain), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-14)
+    # One mass in SI units: m x'' + c x' + k x = P F(x' - v_d), from x = -0.1 m.
+    single, scales = Chain.from_si(1, TanhFriction(law, 0.005), 0.75, **rig)
+    start = scales.to_dimensionless(np.array([-0.1]), "displacement"), np.zeros(1)
+    run = simulate(single, start, scales.to_dimensionless(0.5, "time"), rtol=1e-9)
+
+    def rate(t, y):
+        w = y[1] - 0.75
+        force = -10.0 * (0.5 + 0.5 * np.exp(-abs(w) / 0.25)) * np.tanh(w / 0.005)
+        return y[1], (force - 2.0 * y[1] - 200.0 * y[0]) / 2.0
+
+    truth = solve_ivp(rate, (0.0, 0.5), (-0.1, 0.0), "LSODA", rtol=1e-10, atol=1e-12).y[:, -1]
+    assert float(scales.to_dimensional(run.state[0][0], "displacement")) == pytest.approx(
+        truth[0], abs=1e-8
+    )
+    assert float(scales.to_dimensional(run.state[1][0], "velocity")) == pytest.approx(
+        truth[1], abs=1e-7
+    )
+
+
+def test_a_table_of_a_rig_is_converted_and_a_law_of_ones_own_is_refused():
+    rig = {"mass": 2.0, "damping": 2.0, "stiffness": 200.0, "normal_load": 10.0}
+    table = TabulatedFriction([0.0, 0.25, 0.5], [1.0, 0.7, 0.6])
+    chain, _ = Chain.from_si(1, table, 0.75, **rig)
+    np.testing.assert_allclose(chain.law.table, [[0.0, 0.5, 1.0], [1.0, 0.7, 0.6]])
+
+    class Own(AbstractFrictionLaw):
+        mu_static: jax.Array
+
+        def coefficient(self, speed):
+            return self.mu_static + 0.0 * speed
+
+    with pytest.raises(ValueError, match="`friction` is a `Own`, .* convert them by `Scales"):
+        Chain.from_si(1, Own(jnp.asarray(1.0)), 0.75, **rig)
+    with pytest.raises(ValueError, match="Argument `friction` must be a friction law"):
+        Chain.from_si(1, 0.3, 0.75, **rig)

@@ -6,6 +6,7 @@ import itertools
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from matplotlib.animation import writers
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -334,9 +335,18 @@ def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
     assert len(open_._closed()[0]) == 12
 
 
-def test_a_gif_opens_with_every_frame_and_is_small(tmp_path):
+def test_a_gif_opens_with_every_frame_and_is_small(tmp_path, monkeypatch):
     chain, times, states = made_up(2, frames=8)
     film = animate(times, states, chain, frames_per_second=10)
+    with monkeypatch.context() as patch:  # no ffmpeg
+        patch.setattr(type(writers), "is_available", lambda self, name: name != "ffmpeg")
+        for save in (film.save, lambda path: film.save(path, writer="ffmpeg")):
+            with pytest.raises(
+                RuntimeError, match=r"film\.mp4' needs the program ffmpeg, which is"
+            ):
+                save(tmp_path / "film.mp4")
+    with pytest.raises(ValueError, match=r"\.gif, but is .*mp4, use .* needs the program ffmpeg"):
+        save_gif(film, tmp_path / "film.mp4")
     path = save_gif(film, tmp_path / "film.gif", dpi=50)
     with Image.open(path) as picture:
         assert picture.n_frames == 8  # pyright: ignore[reportAttributeAccessIssue]
