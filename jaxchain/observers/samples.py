@@ -69,6 +69,11 @@ class Trajectory(eqx.Module):
                 f"{times[at + 1]:g}: sort them."
             )
 
+    def label(self, value: Any, chain: Any) -> dict[str, Variable]:
+        """`displacement` and `velocity` over (time, oscillator), or the numbers of other cells."""
+        labelled = states_at_times("at", (self.times, *value), chain, "time", "oscillator")
+        return {name.removeprefix("at_"): v for name, v in labelled.items() if name != "at_time"}
+
 
 # The share of an interval, or of a step, by which rounding may move a time.
 _ROUNDING = 1e-9

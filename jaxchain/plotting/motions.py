@@ -445,11 +445,8 @@ class _Animation(FuncAnimation):
         suffix = Path(filename).suffix.lower()
         of_pillow = suffix in (".gif", ".png", ".apng", ".webp")
         used = matplotlib.rcParams["animation.writer"] if writer is None else writer
-        if (
-            used == "ffmpeg"
-            and not (writer is None and of_pillow)
-            and not writers.is_available("ffmpeg")
-        ):
+        wanted = used == "ffmpeg" and (writer is not None or not of_pillow)
+        if wanted and not writers.is_available("ffmpeg"):
             raise RuntimeError(
                 f"Argument `filename` = {str(filename)!r} needs the program ffmpeg, which is not "
                 "installed: install it, or write a GIF with `save_gif`, which needs nothing else."
@@ -485,8 +482,8 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
     path = Path(path)
     if path.suffix.lower() != ".gif":
         raise ValueError(
-            f"Argument `path` must end with .gif, but is {str(path)!r}: for other formats, such as "
-            "mp4, use `animation.save(path)`, which needs the program ffmpeg."
+            f"Argument `path` must end with .gif, but is {str(path)!r}: for other formats, such "
+            "as mp4, use `animation.save(path)`, which needs the program ffmpeg."
         )
     check_positive_number("dpi", dpi, "100 is usual.")
     timer: Any = animation.event_source

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -42,9 +42,13 @@ from .accuracy import (
     custom_solver,
     default_rtol,
 )
+from .dataset import Origin, run_dataset
 from .event_driven import EventDriven
 from .plan import CHECKPOINTS, AbstractPlan, Progress
 from .smoothed import SmoothedPlan
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 
 def _is_observer(x: Any) -> bool:
@@ -61,6 +65,7 @@ class Simulation(Printed, eqx.Module):
     - `result`: see `Result`; `outcome` is its name, such as "successful".
     - `steps`, `rejected`: accepted and rejected steps.
     - `numerics`: the width, tolerance and solver that `accuracy` chose, or None.
+    - `origin`: the arguments of the run, for `to_dataset`.
 
     See `simulate` for an example.
     """
@@ -72,6 +77,37 @@ class Simulation(Printed, eqx.Module):
     steps: Int[Array, ""]
     rejected: Int[Array, ""]
     numerics: Numerics | None = None
+    origin: Origin = eqx.field(static=True, default=Origin())
+
+    def _instead(self) -> dict[str, str]:
+        return {"origin": ""}
+
+    def to_dataset(self) -> Dataset:
+        """The run as an `xarray.Dataset`, with the names, units and attributes of `sweep`.
+
+        It holds what the observers `label`, the last state (`end_displacement`, `end_velocity`; of
+        other cells `end_<component>`), and `result`, `end_time`, `steps` and `rejected`; of a
+        `Trajectory` `displacement` and `velocity` (or the components) over `time`.  With
+        `segments` observed values have the dimension `segment`.
+
+        **Raises:** `ValueError` for a run made within `jit`, `vmap` or `grad` (use `sweep` for
+        many runs), for an observer without `label`, and for two that name one variable.
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Amplitude, equation_8, paper_chain, simulate
+        >>> chain = paper_chain(3)
+        >>> run = simulate(chain, equation_8(chain, 1), 50.0, observe=Amplitude(window=20.0))
+        >>> data = run.to_dataset()
+        >>> data.amplitude.dims, data.amplitude.attrs["units"], data.attrs["t1"]
+        (('oscillator',), 'x0', 50.0)
+        """
+        if self.origin.chain is None or is_traced(self.t) or np.ndim(self.t):
+            raise ValueError(
+                "`Simulation.to_dataset` is for one run that `simulate` returned outside of "
+                "`jit`, `vmap` and `grad`: use `sweep` for many runs, whose result is a dataset."
+            )
+        return run_dataset(self.origin, self)
 
     @property
     def outcome(self) -> str:
@@ -217,9 +253,12 @@ def simulate(
             for o in leaves
         ],
     )
+    origin = Origin()
+    if not is_traced(out, plan, chain, leaves, t0, t1):
+        origin = Origin(chain, leaves, treedef, plan, float(t0), float(t1), segments)
     return Simulation(
         out.t, out.state, observed, out.result, out.steps, out.rejected,
-        numerics if smoothed else None,
+        numerics if smoothed else None, origin,
     )  # fmt: skip
 
 

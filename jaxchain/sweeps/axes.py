@@ -24,10 +24,9 @@ from .._spelling import did_you_mean
 from ..model.cells import AbstractField
 from ..model.chain import Chain, chain_number, require_smoothed
 from ..model.parameters import CHAIN
+from ..simulation.dataset import Axes, columns_of, sizes
 from .lanes import chain_names, initial_names
 
-# Dimension -> parameter -> its values along the dimension, of shape (size, ...).
-Axes: TypeAlias = dict[str, dict[str, np.ndarray]]
 # The number of a block along each dimension.
 Key: TypeAlias = tuple[int, ...]
 
@@ -128,11 +127,6 @@ def _check_column(dim: str, name: str, columns: dict[str, np.ndarray], arrays: b
     check_finite(label, values, "leave out such values.")
 
 
-def sizes(axes: Axes) -> dict[str, int]:
-    """The number of values along each dimension."""
-    return {dim: len(next(iter(columns.values()))) for dim, columns in axes.items()}
-
-
 def jobs(axes: Axes) -> dict[str, np.ndarray]:
     """The values of every parameter in each lane, of shape (lanes, ...)."""
     shape = tuple(sizes(axes).values())
@@ -142,11 +136,6 @@ def jobs(axes: Axes) -> dict[str, np.ndarray]:
         for place, columns in zip(places, axes.values(), strict=True)
         for name, values in columns.items()
     }
-
-
-def columns_of(axes: Axes) -> dict[str, np.ndarray]:
-    """The values of every parameter along its dimension."""
-    return {name: values for columns in axes.values() for name, values in columns.items()}
 
 
 def extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:

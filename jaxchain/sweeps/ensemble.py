@@ -28,7 +28,7 @@ import math
 import os
 import re
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,13 +45,12 @@ from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain, require_smoothed
-from ..model.oscillators import AbstractOscillators
-from ..model.parameters import Parameter, parameter
-from ..model.provenance import circumstances, parameters_of, versions
+from ..model.parameters import parameter
+from ..model.provenance import versions
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Step, Variable
 from ..observers.samples import Trajectory
-from ..result import NAMES, ended_well
+from ..result import NAMES
 from ..simulation.accuracy import (
     MAX_STEP,
     NO_ACCURACY,
@@ -64,10 +63,10 @@ from ..simulation.accuracy import (
     custom_solver,
     default_rtol,
 )
+from ..simulation.dataset import describe, to_dataset
 from ..simulation.event_driven import EventDriven
-from ..simulation.plan import AbstractPlan
 from ..simulation.run import build_plan, check_fit, check_segments
-from .axes import Axes, Block, Grid, Key, check_axes, chunks_of, columns_of, extremes, sizes
+from .axes import Axes, Block, Grid, Key, check_axes, chunks_of, columns_of, extremes
 from .lanes import (
     RunStarts,
     Shapes,
@@ -87,18 +86,6 @@ if TYPE_CHECKING:
 
 # The variables of every sweep, for any observer.
 RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps", "rejected")
-LONG_NAMES = {
-    "excited": "masses excited at the start",
-    "oscillator": "oscillator n",
-    "result": "outcome of the run",
-    "end_time": "time at which the run ended",
-    "steps": "accepted steps",
-    "rejected": "rejected steps",
-    "segment": "segment of the run",
-    "segment_end": "time at which the segment ends",
-}
-# A count is written as an integer, and a missing one as this.
-_COUNT = {"dtype": "int64", "_FillValue": -1}
 # The parts of this package that affect numbers, and names of results.
 _CODE = (
     "_computed_once.py",
@@ -448,95 +435,6 @@ def _labels(observed: tuple[AbstractObserver, Any], state: State) -> OrderedDict
     observer, chain = observed
     value = observer.read(observer.init(chain, 0.0, 1.0, state))
     return OrderedDict(observer.label(value, chain))
-
-
-def describe(
-    chain: Any, n: int, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
-) -> dict[str, Any]:
-    """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
-    return {
-        "parameters": parameters_of(chain, n, swept),
-        "solver": plan.method,
-        "rtol": float(plan.rtol),
-        "atol": float(plan.atol),
-        "max_step": float(plan.max_step),
-        "t0": t0,
-        "t1": t1,
-        "observers": repr(plan.observers),
-        **circumstances(),
-    }
-
-
-def to_dataset(
-    records: Mapping[str, Any],
-    axes: Axes,
-    chain: Any,
-    n: int,
-    attrs: Mapping[str, Any],
-    edges: np.ndarray | None = None,
-) -> Dataset:
-    """The records of a sweep, one row per lane, as a dataset over the swept axes.
-
-    `edges`: where the segments of the runs begin, and the end of the last; None without segments.
-    """
-    import xarray as xr  # imports pandas, which would double the time of `import jaxchain`
-
-    shape = sizes(axes)
-    dims, all_sizes = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
-    records = jtu.tree_map(lambda a: a.reshape(*shape.values(), *a.shape[1:]), dict(records))
-    code = records["result"]
-    well = ended_well(code)
-    variables: dict[str, Any] = {
-        name: _variable((*all_sizes, *variable.dims), variable, well)
-        for name, variable in records["observed"].items()
-    }
-    for name in ("result", "end_time"):
-        variables[name] = dims, records[name]
-    # For an interrupted run all values are unknown.
-    finished = code != NAMES.index("interrupted")
-    for name in ("steps", "rejected"):
-        variables[name] = dims, np.where(finished, records[name], np.nan), None, _COUNT
-    coords: dict[str, Any] = {
-        name: (_dims_of(dim, name, values, n), values)
-        for dim, columns in axes.items()
-        for name, values in columns.items()
-    }
-    coords["oscillator"] = np.arange(1, n + 1)
-    if edges is not None:
-        coords["segment"] = np.arange(1, len(edges))
-        coords["segment_end"] = ("segment", edges[1:])
-    dataset = xr.Dataset(variables, coords=coords, attrs=dict(attrs))
-    attrs_of = {str(name): variable.attrs for name, variable in dataset.variables.items()}
-    for name in attrs_of.keys() - set(records["observed"]):
-        if name in LONG_NAMES:
-            attrs_of[name]["long_name"] = LONG_NAMES[name]
-        timed = name in ("end_time", "segment_end")
-        known = isinstance(chain, AbstractOscillators)
-        attrs_of[name]["units"] = "1 / omega_n" if timed and known else "1"
-    for name in set(columns_of(axes)) & set(chain_names(chain)):
-        row = parameter(name) if isinstance(chain, Chain) else Parameter(name, name)
-        attrs_of[name] |= row.attrs
-    attrs_of["result"] |= {
-        "flag_values": np.arange(len(NAMES), dtype=code.dtype),
-        "flag_meanings": " ".join(NAMES),
-    }
-    return dataset
-
-
-def _variable(dims: tuple[str, ...], variable: Variable, finished: np.ndarray) -> tuple:
-    """A variable for `xarray.Dataset`: NaN if unknown; a count is an integer on disk."""
-    attrs = {} if variable.long_name is None else {"long_name": variable.long_name}
-    values = variable.values
-    if variable.is_count or np.issubdtype(values.dtype, np.floating):
-        lanes = finished.reshape(finished.shape + (1,) * (values.ndim - finished.ndim))
-        values = np.where(lanes, values, np.nan)
-    return dims, values, attrs | {"units": variable.units}, _COUNT if variable.is_count else None
-
-
-def _dims_of(dim: str, name: str, values: np.ndarray, n: int) -> tuple[str, ...]:
-    if values.shape[1:] == (n,):
-        return dim, "oscillator"
-    return dim, *(f"{name}_{axis}" for axis in range(1, values.ndim))
 
 
 def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:

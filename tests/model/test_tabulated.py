@@ -76,8 +76,6 @@ def test_a_file_of_a_rig_has_speeds_in_m_per_s_and_may_lack_friction_at_rest(tmp
     assert TabulatedFriction.from_csv(file, mu_static=0.9).mu_static == 0.9
     with pytest.raises(ValueError, match=r"`mu_static` is 1\.0, but .* has the friction 0\.9 at"):
         TabulatedFriction.from_csv(file, mu_static=1.0)
-    with pytest.raises(ValueError, match="Argument `scales` must be None or a `Scales`"):
-        TabulatedFriction.from_csv(file, scales=0.5)
 
 
 def test_an_invalid_table_is_refused():

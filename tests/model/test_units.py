@@ -179,7 +179,7 @@ def test_a_table_of_a_rig_is_converted_and_a_law_of_ones_own_is_refused():
         def coefficient(self, speed):
             return self.mu_static + 0.0 * speed
 
-    with pytest.raises(ValueError, match="`friction` is a `Own`, .* convert them by `Scales"):
+    with pytest.raises(ValueError, match=r"`friction` is a `Own`, .* convert them by `Scales"):
         Chain.from_si(1, Own(jnp.asarray(1.0)), 0.75, **rig)
     with pytest.raises(ValueError, match="Argument `friction` must be a friction law"):
         Chain.from_si(1, 0.3, 0.75, **rig)
