@@ -18,7 +18,8 @@ mass = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), force=1.8, frequ
 period = 2 * np.pi / 0.9
 settled = simulate(mass, (jnp.ones(1), jnp.zeros(1)), 40 * period, rtol=1e-10).state
 onset = find_special_cycle((settled, period), mass, kind="stick onset", mass=0, parameter="force")
-curve = continue_special(onset, "frequency", bounds={"frequency": (0.5, 1.4)})
+bounds = {"frequency": (0.5, 1.4)}
+curve = continue_special(onset, "frequency", bounds=bounds, keep_part=False)
 
 
 def gaps(z, omega):

@@ -44,7 +44,8 @@ QUICK = FULL | {
     "points": 6,
 }  # fmt: skip
 START, RTOL, FINE_RTOL = 1.5, 1e-12, 1e-13
-HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-10, "min_step": 1e-11}  # branches are followed
+# How branches are followed; Ctrl-C ends the program, so that no part is kept as a whole branch.
+HOW = {"bounds": (1.1, 1.9), "tolerance": 1e-10, "min_step": 1e-11, "keep_part": False}
 ROUGHLY = {"rtol": 10 * RTOL, "tolerance": 1e-9, "min_step": 1e-8}  # past bends too sharp for that
 FILLS = "fills the ring"
 PATTERNS = ["in-phase", "alternating", "calmest"]

@@ -39,7 +39,8 @@ class OneMassBranch(Printed, eqx.Module):
       with NaN, which must be dropped before a line is drawn.
     - `scaled_peak_velocity`: s = max w / eps.
 
-    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.
+    The first entry is the Hopf point, of amplitude 0; `fold` is the index of the fold.  `cut_off`
+    says where and why a side ends before steady sliding or `lowest`; it is empty if none does.
 
     See `one_mass_branch` for an example.
     """
@@ -49,6 +50,7 @@ class OneMassBranch(Printed, eqx.Module):
     scaled_peak_velocity: Float[Array, " points"]
     period: Float[Array, " points"]
     fold: int = eqx.field(static=True)
+    cut_off: str = eqx.field(static=True, default="")
 
 
 def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:
@@ -65,7 +67,7 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     down.
 
     **Raises:** `ValueError` for a chain of several masses or a `lowest` that is not positive, or
-    not below the fold.
+    not below the fold; `KeyboardInterrupt` on Ctrl-C, without a part of the branch.
 
     !!! example
 
@@ -93,11 +95,13 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
     top = float(fold.belt_speed)
     slipping = np.arcsinh(top / float(chain.width)) + _SLACK
     sides = ("slip", slipping, -1, 0.0), ("stick", _STICKING, 1, float(lowest))
+    cuts = []
     for direction, length, way, least in sides:
         step = float(length) / _POINTS
         side = continue_cycle(
             chain.with_(belt_speed=top), fold.state, fold.period, direction=direction, step=step,
             max_step=step, max_points=_POINTS + 1, bounds=(least, np.inf), mass=0,
+            keep_part=False,
         )  # fmt: skip
         places = _POINTS + 1 + way * np.arange(len(side.parameter))
         rows[:, places] = (
@@ -106,11 +110,14 @@ def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -
             side.scaled_peak_velocity,
             side.period,
         )
+        if side.ended != "left_bounds" and not side.of_kind("hopf"):
+            last = float(side.parameter[-1])
+            cuts.append(f"The {direction} cycles end at belt speed {last:.6g}. {side.message}")
     hopf = float(hopf_belt_speed(chain))
     # The period of the smallest cycle found, which is near that of the Hopf point.
     first = rows[3, np.argmax(np.isfinite(rows[3]))]
     rows[:, 0] = hopf, 0.0, -hopf / float(chain.width), first
-    return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1)
+    return OneMassBranch(*map(jnp.asarray, rows), fold=_POINTS + 1, cut_off=" ".join(cuts))
 
 
 def check_below_fold(lowest: Any, fold: Fold) -> None:

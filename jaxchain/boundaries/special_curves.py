@@ -849,6 +849,7 @@ def continue_special(
     max_step: Any = 0.1,
     max_points: Any = 200,
     tolerance: Any = 1e-9,
+    keep_part: bool = True,
 ) -> SpecialCurve:
     """Follows a special point as two numbers of the model change together, in both directions.
 
@@ -864,12 +865,14 @@ def continue_special(
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends
       where a number of a `Chain` that must not be negative is 0, and cycles without a force end
       where the belt speed is.
-    - `step`, `max_step`, `max_points` in each direction, `tolerance`: see `continue_branch`;
-      lengths are those of `continue_cycle`, with the second number relative to its first value.
+    - `step`, `max_step`, `max_points` in each direction, `tolerance`, `keep_part` (after Ctrl-C):
+      see `continue_branch`; lengths are those of `continue_cycle`, with the second number relative
+      to its first value.
 
     **Returns:** a `SpecialCurve`.
 
-    **Raises:** `ValueError` for bad input; `RuntimeError` if there is no curve near the start.
+    **Raises:** `ValueError` for bad input; `RuntimeError` if there is no curve near the start;
+    `KeyboardInterrupt` as `continue_branch`.
 
     !!! example
 
@@ -910,9 +913,10 @@ def continue_special(
         "max_step": max_step,
         "max_points": max_points,
         "tolerance": tolerance,
+        "keep_part": keep_part,
     }
     sides = [_side(equations, U, 1, ranges, options)]
-    if sides[0].ended != "closed":
+    if sides[0].ended not in ("closed", "interrupted"):
         sides.append(_side(equations, U, -1, ranges, options))
     sides = [_named_zero(limits, side) for side in sides]
     return _joined(equations, sides)
@@ -1091,7 +1095,7 @@ def _end_of_folds(
     hopf = find_hopf_point(chain, first, state, frequency=frequency, throw=False)
     if not hopf.successful:
         return None
-    curve = continue_special(hopf, second, step=1e-3, max_points=30)
+    curve = continue_special(hopf, second, step=1e-3, max_points=30, keep_part=False)
     size = np.max(np.abs(unknowns[:, -2:]), axis=0)
 
     def distance(point: CurvePoint) -> float:

@@ -17,6 +17,7 @@ from .._checks import (
     check_at_least,
     check_concrete,
     check_count,
+    check_flag,
     check_function,
     check_kind,
     check_number,
@@ -311,6 +312,7 @@ def continue_branch(
     tolerance: Any = 1e-10,
     max_turn: Any = 0.25,
     max_bend: Any = 3e-3,
+    keep_part: bool = True,
 ) -> Branch:
     """Follows the solutions of F(u, p) = 0 from (start, parameter), around folds, on the host.
 
@@ -343,10 +345,13 @@ def continue_branch(
       than one jvp per unknown.
     - `tolerance`: the greatest error of a point, relative to 1 + |z|; if such an error could hide
       a turn, the point is solved to 1e-10.
+    - `keep_part`: whether Ctrl-C returns the points so far, with `ended` "interrupted".  With
+      False, for a program that needs the whole branch, it raises `KeyboardInterrupt`.
 
-    **Returns:** a `Branch` (`ended` and `message` give the reason of its end), also after Ctrl-C.
+    **Returns:** a `Branch` (`ended` and `message` give the reason of its end).
 
-    **Raises:** `ValueError` for bad input; `RuntimeError` without 64-bit floats.
+    **Raises:** `ValueError` for bad input; `RuntimeError` without 64-bit floats;
+    `KeyboardInterrupt` on Ctrl-C before the first point, or with `keep_part=False`.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
@@ -372,6 +377,7 @@ def continue_branch(
     corrector = make_corrector(residual, value_and_jacobian, args, u.size, weights, tolerance)
     steps = _checked_steps(step, min_step, max_step, max_turn, max_bend)
     check_count("max_points", max_points)
+    check_flag("keep_part", keep_part)
     low, high = check_pair("bounds", bounds, "(0.0, 5.0), say, of the parameter.")
     if not low <= float(parameter) <= high:
         raise ValueError(
@@ -381,12 +387,13 @@ def continue_branch(
     heading = _heading(direction, u.size)
 
     record = BranchRecorder(u.size)
-    ended, reason = "interrupted", ""
+    walk = BranchWalk(corrector, steps, record, (low, high), dict(tests or {}), stop, progress)
     try:
-        walk = BranchWalk(corrector, steps, record, (low, high), dict(tests or {}), stop, progress)
         ended, reason = walk.run(z, heading, np.inf if max_points is None else float(max_points))
     except KeyboardInterrupt:
-        pass
+        if not (keep_part and record.points):
+            raise
+        ended, reason = "interrupted", ""
     return record.branch(ended, reason, corrector.counts)
 
 

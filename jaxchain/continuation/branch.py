@@ -337,7 +337,8 @@ class BranchRecorder:
             tangents=np.reshape([point.tangent for point in points], (-1, self.m + 1)),
             residuals=np.array([point.residual for point in points], dtype=float),
             extra=jax.tree.map(lambda *leaves: np.stack(leaves), *extra) if points else None,
-            special=tuple(self.special),
+            # An interruption may come after a special point and before the end of its segment.
+            special=tuple(point for point in self.special if point.index + 1 < len(points)),
             ended=ended,
             reason=reason,
             counts=counts,

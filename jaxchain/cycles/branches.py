@@ -711,6 +711,7 @@ def continue_cycle(
     progress: Callable[[int, Point], Any] | None = None,
     rtol: Any = RTOL,
     tolerance: Any = 1e-9,
+    keep_part: bool = True,
 ) -> CycleBranch:
     """Follows a cycle as a number of the chain changes, around folds, with stability.
 
@@ -731,8 +732,9 @@ def continue_cycle(
     - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
       Or a `CycleSymmetry`, as of `cycle_symmetry`, whose shift of time is kept, too.  The orbit
       keeps this symmetry; multipliers are those of all disturbances.
-    - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`: see `continue_branch`;
-      lengths are (mean of x^2 and z^2 of the others + z_j^2 + ln^2 T + p^2)^(1/2).
+    - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`, `keep_part` (after
+      Ctrl-C): see `continue_branch`; lengths are (mean of x^2 and z^2 of the others + z_j^2 +
+      ln^2 T + p^2)^(1/2).
     - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf
       point, where the amplitude vanishes.
     - `rtol`: tolerance of the integration.
@@ -741,7 +743,7 @@ def continue_cycle(
     `rtol`.  Special points use an `rtol` of at most 3e-11, and each has an `error`.
 
     **Raises:** `ValueError` for bad input; `RuntimeError`, with a remedy, if no cycle is found
-    near the start.
+    near the start; `KeyboardInterrupt` as `continue_branch`.
 
     !!! example
 
@@ -786,6 +788,7 @@ def continue_cycle(
         "max_points": max_points,
         "progress": progress,
         "tolerance": tolerance,
+        "keep_part": keep_part,
     }
     return _follow(shooting, u, p, heading, bounds, stop, options)
 
@@ -903,6 +906,8 @@ def _follow(
         raise NoBranchError(branch.message if extra is None else ENDINGS["no_start"])
     # The given period is a multiple of the minimal one.
     if extra.times_round[0] > 1 and not forced:
+        if branch.ended == "interrupted":
+            raise KeyboardInterrupt
         once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(extra.times_round[0]))
         return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
     refine = refined(shooting, weights, options["tolerance"], tests)

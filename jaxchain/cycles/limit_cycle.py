@@ -698,6 +698,7 @@ def _follow(
             images=CycleSymmetry("", shooting.images, shift=shooting.shift),
             rtol=float(shooting.rtol),
             stop=turned,
+            keep_part=False,
         )
     except NoBranchError:
         return None, ""

@@ -33,6 +33,7 @@ def summary(name: str, data: xr.Dataset, store: Path | None = None) -> str:
         speed, amplitude = float(data["fold_belt_speed"]), float(data["fold_amplitude"])
         title = "cycles of one oscillator, stable and unstable"
         rows = [("fold", f"at belt speed {speed:.5g}, amplitude {amplitude:.4g} (no cycle above)")]
+        rows += [("cut off", data.attrs["cut_off"])] if "cut_off" in data.attrs else []
     elif store is not None:
         rows = [*_settings(data), ("store", "too large for a figure and for memory")]
         more = [in_lines(status_of(store))]

@@ -394,8 +394,9 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
     **Arguments:** `chain` and the swept values of the experiment that the cycles accompany.
 
     **Returns:** a dataset over `point`, from rest at the Hopf speed through the fold to
-    stick-slip; None for anything but one oscillator, with a sweep over at least ten belt speeds
-    and starts and no other number of the chain; or if its cycles do not fold.
+    stick-slip, with the attribute `cut_off` if it is not whole; None for anything but one
+    oscillator, with a sweep over at least ten belt speeds and starts and no other number of the
+    chain; or if its cycles do not fold.
     """
     swept = [name for name in grid if name in chain.numbers()]
     if not isinstance(chain, Chain) or chain.n != 1:
@@ -423,7 +424,7 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
         if at_fold:
             attrs = attrs | {"long_name": at_fold}
             variables[f"fold_{name}"] = (), float(values[branch.fold]), attrs
-    return xr.Dataset(variables)
+    return xr.Dataset(variables, attrs={"cut_off": branch.cut_off} if branch.cut_off else {})
 
 
 def circumstances(command: str = "") -> dict[str, str]:

@@ -1,5 +1,6 @@
 """Both boundaries of a chain, where they meet, and the cycles in between, against witnesses."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -9,7 +10,7 @@ import pytest
 from scipy.optimize import brentq, fsolve
 
 from jaxchain import paper_chain
-from jaxchain.boundaries import find_fold, find_grazing, fold, grazing, limit
+from jaxchain.boundaries import find_fold, find_grazing, fold, grazing, limit, single_mass
 from jaxchain.boundaries.hopf_scan import generalised_hopf
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.boundaries.single_mass import one_mass_branch
@@ -126,6 +127,31 @@ def test_a_branch_is_not_left_above_its_fold():
     for lowest in (100.0, float(fold.belt_speed)):
         with pytest.raises(ValueError, match=r"`lowest` must be below the fold.*1\.79246"):
             one_mass_branch(chain, lowest, fold)
+
+
+@pytest.mark.parametrize("first", [1, 40, 60])
+def test_an_interrupted_branch_is_not_taken_for_a_whole_one(monkeypatch, first):
+    """In the slip cycles at once, in them, and in the stick-slip cycles."""
+    seen = []
+
+    def interrupt(count, point):
+        seen.append(count)
+        if len(seen) == first:
+            raise KeyboardInterrupt
+
+    follow = partial(single_mass.continue_cycle, progress=interrupt)
+    monkeypatch.setattr(single_mass, "continue_cycle", follow)
+    with pytest.raises(KeyboardInterrupt):
+        one_mass_branch(paper_chain(1, width=WIDTH), 0.3)
+    assert len(seen) == first
+
+
+def test_a_branch_whose_side_ends_early_says_so(monkeypatch):
+    follow = partial(single_mass.continue_cycle, stop=lambda p, cycle: cycle.speed > 0.5 and p < 1)
+    monkeypatch.setattr(single_mass, "continue_cycle", follow)
+    cut = one_mass_branch(paper_chain(1, width=WIDTH), 0.3)
+    assert cut.cut_off.startswith("The stick cycles end at belt speed 0.9")
+    assert "`stop` was true" in cut.cut_off
 
 
 @pytest.mark.long

@@ -1,5 +1,6 @@
 """Curves of special points against closed forms, SciPy and single searches."""
 
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -37,6 +38,7 @@ from jaxchain.boundaries import (
     find_special_cycle,
     first_lyapunov_coefficient,
     generalised_hopf,
+    special_curves,
 )
 from jaxchain.boundaries.special_curves import _CycleEquations
 from jaxchain.model import (
@@ -142,6 +144,22 @@ def test_hopf_points_end_where_their_frequency_is_zero():
     (end,) = curve.of_kind("Bogdanov-Takens")
     assert (end.first, end.second) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert end.index == len(curve.first) - 2
+
+
+def test_an_interrupted_curve_says_so_and_does_not_go_on_in_the_other_direction(monkeypatch):
+    def interrupt(count, point):
+        if count == 5:
+            raise KeyboardInterrupt
+
+    follow = partial(special_curves.continue_branch, progress=interrupt)
+    monkeypatch.setattr(special_curves, "continue_branch", follow)
+    cells = BogdanovTakens(*numbers(0.05, -1.0))
+    point = find_hopf_point(cells, "a", at_rest(2))
+    curve = continue_special(point, "b", bounds={"b": (-2, 2)})
+    assert (curve.ended, len(curve.second)) == (("interrupted", "interrupted"), 5)
+    assert "Interrupted from the keyboard" in curve.message
+    with pytest.raises(KeyboardInterrupt):
+        continue_special(point, "b", bounds={"b": (-2, 2)}, keep_part=False)
 
 
 def test_hopf_points_of_cells_are_those_of_eigenvalues():

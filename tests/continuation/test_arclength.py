@@ -1,6 +1,8 @@
 """Branches against closed forms, through folds, crossings and near misses; and what ends them."""
 
+import ast
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,9 @@ from systems.normal_forms import (
     upright,
 )
 
+import jaxchain
 from jaxchain.continuation.arclength import continue_branch, switch_branch
+from jaxchain.continuation.branch import BranchRecorder
 from jaxchain.continuation.fold_points import fold_point
 
 
@@ -401,6 +405,56 @@ def test_an_interruption_keeps_all_points():
     assert branch.ended == "interrupted"
     assert [count for count, _ in seen] == [1, 2, 3, 4, 5, 6, 7]
     np.testing.assert_array_equal(branch.p, [p for _, p in seen])
+
+
+def test_an_interruption_is_an_error_where_no_part_is_wanted_or_exists():
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        continue_branch(hysteresis, [-1.2], 0.528, progress=interrupt, keep_part=False)
+    with pytest.raises(KeyboardInterrupt):
+        continue_branch(lambda u, p, args: interrupt(), [-1.2], 0.528)
+
+
+def test_a_special_point_beyond_the_last_one_of_an_interrupted_branch_is_left_out(monkeypatch):
+    append = BranchRecorder.append
+
+    def interrupt(record, point, length):
+        if record.special:
+            raise KeyboardInterrupt
+        append(record, point, length)
+
+    monkeypatch.setattr(BranchRecorder, "append", interrupt)
+    branch = continue_branch(hysteresis, [-1.2], 0.528, direction=-1)
+    assert (branch.ended, branch.special) == ("interrupted", ())
+
+
+def test_no_caller_inside_the_library_or_the_programs_takes_a_part_for_a_whole_branch():
+    """Each call states `keep_part`; the options of two functions are those of their caller."""
+    names = {"continue_branch", "continue_cycle", "continue_equilibrium", "continue_special",
+             "switch_cycle"}  # fmt: skip
+    library = Path(jaxchain.__file__).parent
+    programs = library.parent.joinpath("examples").rglob("*.py")
+    calls, passed_on = 0, set()
+    for file in (*library.rglob("*.py"), *programs):
+        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if not isinstance(call, ast.Call):
+                continue
+            name = getattr(call.func, "id", getattr(call.func, "attr", ""))
+            if name not in names:
+                continue
+            given = {keyword.arg: keyword.value for keyword in call.keywords}
+            calls += 1
+            if "keep_part" in given:
+                assert ast.unparse(given["keep_part"]) == "False", (file, call.lineno)
+            else:
+                passed_on.add((file.name, ast.unparse(given[None])))
+    assert calls >= 8
+    assert passed_on == {
+        ("branches.py", "options"), ("equilibria.py", "options"), ("special_curves.py", "options"),
+        ("snaking.py", "more"), ("snaking.py", "how"),
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,7 @@ def _equilibria() -> Iterator[Row]:
             "point": (None, "x", {}, 3.0, ONE), "second": (*WORD, "belt_speed"),
             "bounds": ("x", 3.0, [], {"width": (0.1, 0.2)}, {3: (0.1, 0.2)}, *speeds),
             "step": POSITIVE, "max_step": POSITIVE, "max_points": optional(COUNT),
-            "tolerance": POSITIVE,
+            "tolerance": POSITIVE, "keep_part": FLAG,
         },
     )  # fmt: skip
     fold, hopf = cycle_branch(1).special

@@ -99,7 +99,7 @@ def _branches() -> Iterator[Row]:
             "direction": DIRECTION, "max_points": optional(COUNT), "bounds": (None, *BOUNDS),
             "weights": ("x", {}, 3.0, [1.0], [1.0, math.nan]), "tests": ("x", 3, {"a": 3}),
             "value_and_jacobian": ("x", 3), "tolerance": POSITIVE, "max_turn": POSITIVE,
-            "max_bend": POSITIVE,
+            "max_bend": POSITIVE, "keep_part": FLAG,
         },
     )  # fmt: skip
     good = {"residual": branch, "point": None}
@@ -140,7 +140,7 @@ def _cycles() -> Iterator[Row]:
             **STEPS, **FOLLOWED, **of_orbit, "parameter": WORD,
             "direction": tuple(value for value in DIRECTION), "bounds": BOUNDS,
             "mass": VIBRATING, "images": IMAGES, "max_points": optional(COUNT),
-            "tolerance": POSITIVE,
+            "tolerance": POSITIVE, "keep_part": FLAG,
         },
     )  # fmt: skip
     yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"chain": (*A_CHAIN, CHAIN)})
