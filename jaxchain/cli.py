@@ -114,7 +114,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "Continue an interrupted run. Finished runs are kept, missing ones are computed."
     resume = add(_resume, text, _add_scene_options)
     resume.add_argument("folder", help="folder of results")
-    status = add(_status, "Show the progress of a run with stores.", _add_json)
+    status = add(_status, "Show the progress of a run or of a store.", _add_json)
     status.add_argument("folder", help="folder of results, or a store")
     report = add(_report, "Write report.html of a folder of results again.")
     report.add_argument("folder", help="folder of results")
@@ -337,12 +337,28 @@ def _status(options: argparse.Namespace) -> None:
     path = Path(options.folder)
     one = store_named(path)
     stores = stores_in(path) if one is None else [one]
-    if not stores:
+    run = None
+    if one is None and os.path.isdir(path):  # which never raises
+        from .scenes.folder import status_of_run
+
+        run = status_of_run(path)
+    if run is None and not stores:
         raise _MisusedError(f"{path} is neither a store nor a folder that contains one")
     states = [status_of(store) for store in stores]
 
-    text = json.dumps({"stores": states}, indent=2)
-    print(text if options.json else "\n".join(map(in_lines, states)))
+    if options.json:
+        print(json.dumps(({} if run is None else {"run": run}) | {"stores": states}, indent=2))
+        return
+    print("\n".join([*(() if run is None else _run_in_lines(run)), *map(in_lines, states)]))
+
+
+def _run_in_lines(run: dict[str, Any]) -> Iterator[str]:
+    state = "was cut off" if run["cut_off"] else "has ended"
+    yield f"{run['folder']}: the run {'is under way' if run['under_way'] else state}"
+    for name in ("saved", "missing"):
+        yield f"  {name:<14}{', '.join(run[name]) or 'nothing'}"
+    if run["cut_off"]:
+        yield f"  {_goes_on(Path(run['folder']))}"
 
 
 def _report(options: argparse.Namespace) -> None:

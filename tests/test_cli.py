@@ -25,7 +25,7 @@ from jaxchain.cli import main
 from jaxchain.result import NAMES
 from jaxchain.scenes import running
 from jaxchain.scenes.files import builtin_scenes
-from jaxchain.scenes.folder import MARKER, Results, listing, was_cut_off
+from jaxchain.scenes.folder import MARKER, Results, listing, unfinished, was_cut_off
 from jaxchain.scenes.scene import load_scene
 from jaxchain.sweeps import SweepInterrupted
 
@@ -537,6 +537,41 @@ def test_status_shows_the_progress_of_a_store(workplace, monkeypatch, capsys):
     monkeypatch.setattr("jaxchain.sweeps.store.stores_in", lambda folder: [folder / "a.zarr"])
     assert main(["status", ".", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"stores": [status]}
+
+
+def test_status_shows_a_run_without_stores(workplace, made_up_sweep, monkeypatch, capsys):
+    whole = running.sweep
+
+    def stopped(chain, initial, t1, *, over, **options):
+        data = whole(chain, initial, t1, over=over, **options)
+        if chain.n == 3:
+            data["result"][1, 1] = NAMES.index("interrupted")
+            raise SweepInterrupted(data)
+        return data
+
+    monkeypatch.setattr(running, "sweep", stopped)
+    assert main(["run", "two.toml", "--no-plot", "--quiet"]) == 130
+    capsys.readouterr()
+    run = {"folder": "results/two", "saved": ["first"], "missing": ["second"]}
+    assert main(["status", "results/two", "--json"]) == 0
+    cut = run | {"under_way": False, "cut_off": True}
+    assert json.loads(capsys.readouterr().out) == {"run": cut, "stores": []}
+    assert main(["status", "results/two"]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "results/two: the run was cut off",
+        "  saved         first",
+        "  missing       second",
+        "  `jaxchain resume results/two` goes on with it",
+    ]
+    assert "Missing: second." in Path("results/two/report.html").read_text(encoding="utf-8")
+    with unfinished(Path("results/two"), "two"):
+        assert main(["status", "results/two"]) == 0
+    assert "the run is under way" in capsys.readouterr().out
+    monkeypatch.setattr(running, "sweep", whole)
+    assert main(["resume", "results/two", "--no-plot", "--quiet"]) == 0
+    assert main(["status", "results/two"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("results/two: the run has ended\n  saved         first, second\n")
 
 
 def test_without_a_command_it_prints_its_help(capsys):

@@ -6,6 +6,8 @@ FILE.py                     copies of files with custom code, for reference
 <scene>.<group>.zarr        the store of one group, filled as its runs end
 <scene>.png, .pdf, report.html
 unfinished.txt              while the run is under way, or if it was cut off
+
+This module does not import JAX, so `jaxchain status` is fast.
 """
 
 from __future__ import annotations
@@ -18,19 +20,22 @@ import os
 import shutil
 import socket
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any
-
-import xarray as xr
-import zarr
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from .._final import final
-from ..plotting.style import save_figure
-from ..result import NAMES
+from .._outcomes import ADVICE
+from ..sweeps.store import status_of, stores_in
+from .files import SceneError
+from .scene import LoadedScene, load_scene
+
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
 
 MARKER = "unfinished.txt"
+_INTERRUPTED = list(ADVICE).index("interrupted")
 _MARKED = """\
 Process {process} on {host} fills this folder since {since}.
 This file is removed when the run ends. If it stays, the run was cut off: the results are intact,
@@ -102,12 +107,11 @@ class Results:
         results = cls(folder, name)
         for part in folder.glob(".part-*"):
             shutil.rmtree(part, ignore_errors=True)
-        interrupted = NAMES.index("interrupted")
         for group, data in saved(results.store).items():
-            if "result" in data and (data["result"] == interrupted).any():
-                results._again.add(group)
-            else:
+            if is_whole(data):
                 results.datasets[group] = data
+            else:
+                results._again.add(group)
         return results
 
     @property
@@ -149,6 +153,9 @@ class Results:
             raise StorageError(name, self.folder, reason, self.datasets) from error
 
     def _write(self, name: str) -> None:
+        import xarray as xr
+        import zarr
+
         root = xr.Dataset(attrs={**self.about, "ended": now()})
         with self._aside() as part:
             # Other tools read format 2.
@@ -165,6 +172,8 @@ class Results:
 
         **Raises:** `FigureError` if that fails.
         """
+        from ..plotting.style import save_figure
+
         try:
             with self._aside() as part:
                 for file in save_figure(draw(), part / self.name):
@@ -176,6 +185,8 @@ class Results:
 
     def write_netcdf(self) -> None:
         """Writes all datasets as groups of one file, `<name>.nc`, which needs h5netcdf."""
+        import xarray as xr
+
         root = xr.Dataset(attrs={**self.about, "ended": now()})
         tree = xr.DataTree.from_dict({"/": root, **self.datasets})
         with self._as_storage_errors(f"{self.name}.nc"), self._aside() as part:
@@ -193,11 +204,60 @@ class Results:
 
 def saved(store: Path) -> dict[str, xr.Dataset]:
     """The groups of a store of results, read into memory; empty if it does not exist."""
+    import xarray as xr
+
     return {
         group.parent.name: xr.open_zarr(
             store, group=group.parent.name, consolidated=False, chunks=None
         ).load()
         for group in sorted(store.glob("*/.zgroup"))
+    }
+
+
+def is_whole(data: xr.Dataset) -> bool:
+    """Whether no run of a dataset was interrupted."""
+    return "result" not in data or not (data["result"] == _INTERRUPTED).any()
+
+
+def missing(folder: Path, loaded: LoadedScene, done: Collection[str]) -> list[str]:
+    """The groups of a scene whose runs are not all done, with or without a store of their own."""
+    whole = {
+        store.name
+        for store in stores_in(folder)
+        if (status := status_of(store))["lanes"] == status["lanes_done"]
+    }
+    names = [group.name for group in loaded.scene.groups() if group.name not in done]
+    return [name for name in names if f"{loaded.name}.{name}.zarr" not in whole]
+
+
+def status_of_run(folder: Path) -> dict[str, Any] | None:
+    """The progress of `jaxchain run` in a folder, for JSON; None if there was no such run.
+
+    **Returns:** the groups that are `saved` and those that are `missing`, and whether the run is
+    `under_way` or was `cut_off`.
+    """
+    try:
+        loaded = load_scene(str(folder.absolute()))
+    except SceneError:
+        return None
+    groups = [file.parent for file in sorted((folder / f"{loaded.name}.zarr").glob("*/.zgroup"))]
+    marked, cut_off = (folder / MARKER).exists(), was_cut_off(folder)
+    if not groups and not marked:
+        return None
+    import zarr
+
+    done = []
+    for group in groups:
+        data: Any = zarr.open_group(group, mode="r", zarr_format=2)
+        codes = data["result"][...] if "result" in data else ()
+        if _INTERRUPTED not in codes:
+            done.append(group.name)
+    return {
+        "folder": str(folder),
+        "saved": done,
+        "missing": missing(folder, loaded, done),
+        "under_way": marked and not cut_off,
+        "cut_off": cut_off,
     }
 
 

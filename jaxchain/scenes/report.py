@@ -17,7 +17,7 @@ from ..plotting.diagram import failed, swept
 from ..result import NAMES, message
 from ..sweeps.store import in_lines, status_of, stores_in
 from .files import SceneError, scene_file
-from .folder import saved, was_cut_off
+from .folder import is_whole, missing, saved, was_cut_off
 from .scene import LoadedScene, load_scene
 
 PAGE = "report.html"
@@ -146,12 +146,13 @@ def write_page(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    done = [key for key, data in datasets.items() if is_whole(data)]
     picture, toml = folder / f"{name}.png", folder / f"{name}.toml"
     text = environment.from_string(template).render(
         name=name,
         title=loaded.scene.title if loaded else name,
         description=loaded.scene.description if loaded else "",
-        missing=missing(folder, loaded, datasets) if loaded else [],
+        missing=missing(folder, loaded, done) if loaded else [],
         cut_off=was_cut_off(folder),
         failures={
             key: lines
@@ -172,17 +173,6 @@ def write_page(
         return part.replace(folder / PAGE)
     finally:
         part.unlink(missing_ok=True)
-
-
-def missing(folder: Path, loaded: LoadedScene, datasets: Mapping[str, xr.Dataset]) -> list[str]:
-    """The groups of a scene whose runs are not all done."""
-    whole = {
-        store.name
-        for store in stores_in(folder)
-        if (status := status_of(store))["lanes"] == status["lanes_done"]
-    }
-    names = [group.name for group in loaded.scene.groups() if group.name not in datasets]
-    return [name for name in names if f"{loaded.name}.{name}.zarr" not in whole]
 
 
 def renew_page(folder: Path) -> Path:

@@ -38,8 +38,8 @@ from ..sweeps.store import describe, stores_in
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .building import build, build_solver, checked_chains, component_names
 from .files import SceneError, as_value, escaped, to_toml
-from .folder import Results, now, saved, unfinished
-from .report import PAGE, missing, summary, write_page
+from .folder import Results, missing, now, saved, unfinished, was_cut_off
+from .report import PAGE, summary, write_page
 from .scene import AnyExperiment, CellsExperiment, Experiment, Group, LoadedScene, Scene
 from .tables import CustomObserverTable, Table
 
@@ -162,6 +162,7 @@ def resume_scene(
     chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
     how = {"custom_law": custom_law, "custom_observers": custom_observers}
     how |= {"custom_models": custom_models, "progress": progress}
+    cut_off = was_cut_off(folder)
     with unfinished(folder, loaded.name):
         results, about = Results.reopen(folder, loaded.name), circumstances(command)
         toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
@@ -170,7 +171,7 @@ def resume_scene(
         results.about |= about | {key: json.loads(text) for key, text in first}
         if results.datasets:
             report(f"saved already: {', '.join(results.datasets)}")
-        if not missing(folder, loaded, results.datasets):
+        if not cut_off and not missing(folder, loaded, results.datasets):
             report("nothing is missing")
         return _fill(loaded, results, chains, {**how, "client": client}, report, plot, netcdf)
 
@@ -210,7 +211,7 @@ def _fill(
             results.write_netcdf()
         large = {name + CYCLES for name in results.stored}
         shown = {name: data for name, data in results.datasets.items() if name not in large}
-        drawn = (results.folder / f"{loaded.name}.png").exists()
+        drawn = (results.folder / f"{loaded.name}.pdf").exists()  # the last file of a drawing
         if plot and shown and (list(results.datasets) != before or not drawn):
             results.draw(lambda: figure(shown))
     finally:

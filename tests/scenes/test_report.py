@@ -4,6 +4,7 @@ import base64
 from html.parser import HTMLParser
 
 import pytest
+import xarray as xr
 from synthetic import results
 
 from jaxchain._outcomes import ADVICE
@@ -152,6 +153,13 @@ def test_a_page_that_cannot_be_written_costs_nothing(tmp_path, made_up_sweep):
     with pytest.warns(UserWarning, match=r"cannot write .*report.html: Is a directory"):
         found = run_scene(loaded, tmp_path / "out", plot=False, report=lambda text: None)
     assert list(found) == ["ladder", "ladder_dry"]
+
+
+def test_a_summary_says_where_a_branch_of_cycles_is_cut_off():
+    why = "The stick cycles end at belt speed 0.3. `stop` was true at the last point."
+    data = xr.Dataset({"fold_belt_speed": 1.8, "fold_amplitude": 1.7}, attrs={"cut_off": why})
+    assert f"  cut off       {why}" in summary("one_cycles", data)
+    assert "cut off" not in summary("one_cycles", data.drop_attrs())
 
 
 def test_a_summary_names_the_speeds_that_vibrate_and_five_failures():

@@ -73,11 +73,14 @@ def test_a_look_at_a_store_needs_no_jax(tmp_path):
     (units / "jaxchain").mkdir(parents=True)
     layout = '{"attributes": {"sizes": {"a": 3}, "chunks": {"a": 2}}}'
     (units / "jaxchain" / "zarr.json").write_text(layout)
-    nothing = tmp_path / "nothing"
+    nothing, cut = tmp_path / "nothing", tmp_path / "cut"
+    cut.mkdir()
+    (cut / "one.toml").write_text(builtin_scenes()["quickstart"].read_text())
+    (cut / "unfinished.txt").touch()
     commands = [["status", str(tmp_path)], ["status", str(tmp_path), "--json"]]
-    commands += [["status", str(nothing)], ["resume", str(nothing)]]
+    commands += [["status", str(cut)], ["status", str(nothing)], ["resume", str(nothing)]]
     found = loaded_by(*commands)
-    assert [status for status, _ in found] == [0, 0, 2, 2]
+    assert [status for status, _ in found] == [0, 0, 0, 2, 2]
     for _, packages in found:
         assert not packages & HEAVY - {"zarr"}
 
