@@ -2,6 +2,7 @@
 
 import argparse
 import pickle
+import sys
 from pathlib import Path
 
 import jax
@@ -37,10 +38,19 @@ def options(program, question):
     given = parser.parse_args()
     folder = given.out or Path("results") / (Path(program).stem + "_quick" * given.quick)
     folder.mkdir(parents=True, exist_ok=True)
+    sys.excepthook = ended
     jaxchain.configure(cache=True)
     # Compiling is most of the time of small sizes.
     jax.config.update("jax_disable_most_optimizations", given.quick)
     return given.quick, folder
+
+
+def ended(kind, error, trace):
+    """Ends the program; after Ctrl-C, also within a sweep, with one line and status 130."""
+    if not issubclass(kind, KeyboardInterrupt):
+        return sys.__excepthook__(kind, error, trace)
+    print(f"interrupted. {error}", file=sys.stderr)
+    raise SystemExit(130)
 
 
 def kept(file, settings, compute):

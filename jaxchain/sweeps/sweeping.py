@@ -55,6 +55,10 @@ class SweepInterrupted(KeyboardInterrupt):
         super().__init__(f"The sweep was interrupted; {kept}")
         self.dataset = dataset
 
+    def _render_traceback_(self) -> list[str]:
+        """The lines that a notebook shows: the message only."""
+        return [f"{type(self).__name__}: {self}"]
+
 
 def sweep(
     chain: Any,
@@ -162,7 +166,10 @@ def sweep(
     chunks = check_chunks(chunks, ensemble.axes)
     if store is not None:
         kept = _open(_path_of(store), ensemble, chunks, lanes)
-        return _fill(kept, ensemble, devices, client, progress, description)
+        try:
+            return _fill(kept, ensemble, devices, client, progress, description)
+        except SweepInterrupted as stopped:  # without the frames in between
+            raise stopped.with_traceback(None) from None
     for name, given in (("chunks", chunks), ("client", client)):
         if given is not None:
             raise ValueError(

@@ -120,6 +120,11 @@ def test_what_is_not_done_is_pending_and_nan(memory, path, monkeypatch, usual_si
         patch.setattr(Store, "write", interrupt)
         with pytest.raises(SweepInterrupted, match=r"kept in .*: repeat the same call") as caught:
             small(path, chunks=chunks)
+    # Above the message stands one frame of the library; in a notebook there is none.
+    frames = [frame.name for frame in caught.traceback]
+    assert frames[-1] == "sweep"
+    assert frames.count("_fill") == 0
+    assert caught.value._render_traceback_() == [f"SweepInterrupted: {caught.value}"]
     seen = caught.value.dataset
     assert_same(xr.open_zarr(path), seen)
     unknown = seen.result.values == PENDING
