@@ -58,7 +58,7 @@ def hopf_by_descent(
 
     **Arguments:** `chain`; `start`, a belt speed > 0 (default: |v_d| of the chain); `optimiser`,
     any optax transformation (default `optax.adam(0.1)`); `steps`, the greatest number until |g| <=
-    `tolerance`.
+    `tolerance`.  The speed stays positive.
 
     **Returns:** a `HopfDescent`.
 
@@ -87,7 +87,12 @@ def _descend(
     chain: Chain, start: Any, optimiser: optax.GradientTransformation, steps: Any, tolerance: Array
 ) -> HopfDescent:
     descent = descend(
-        lambda speed: growth_rate(chain, speed) ** 2, start, optimiser, steps, tolerance**2
+        lambda speed: growth_rate(chain, speed) ** 2,
+        start,
+        optimiser,
+        steps,
+        tolerance**2,
+        margins=lambda speed: speed,
     )
     rates = jax.vmap(lambda speed: growth_rate(chain, speed))(descent.path)
     rate = growth_rate(chain, descent.solution)

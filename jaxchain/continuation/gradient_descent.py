@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._checks import (
     check_finite,
@@ -65,12 +65,77 @@ def check_descent(optimiser: Any, steps: Any) -> None:
     check_whole("steps", steps, 1, MOST_STEPS)
 
 
+# The share of a margin that a step leaves, and the least margin that it aims at: next to an edge,
+# rounding must not lead across.
+_LEFT, _LEAST_MARGIN = 0.01, 1e-10
+# Steps of the interior-point method, its centring, the share of the way to its own edges, and the
+# mean product of multipliers and margins at which it ends.
+_INTERIOR_STEPS, _CENTRING, _TO_EDGE, _CONVERGED = 40, 0.1, 0.99, 1e-24
+# Halvings of a step where edges are curved.
+_HALVINGS = 6
+
+
+def stay_inside(
+    margins: Callable[[Array], Float[Array, " q"]],
+    x: Float[Array, " m"],
+    step: Float[Array, " m"],
+    metric: Float[Array, "m m"] | None = None,
+) -> tuple[Float[Array, " m"], Bool[Array, " q"]]:
+    """(The step d nearest to `step` after which all margins are positive; which edges bend it.)
+
+    minimise 1/2 (d - step)^T H (d - step)   subject to   g_i + grad g_i d >= 0.01 g_i
+
+    for the `metric` H (by default 1) and the margins g(x) >= 0, in the multipliers by an interior-
+    point method (Nocedal and Wright, Numerical Optimization, section 16.6).  So a search
+    approaches an edge, slides along it, and never crosses it.  Where edges are curved the step is
+    halved until it ends inside.
+    """
+    g, slopes = margins(x), jax.jacfwd(margins)(x)
+    across = slopes.T if metric is None else jnp.linalg.solve(metric, slopes.T)
+    matrix = slopes @ across
+    size = jnp.sqrt(jnp.diagonal(matrix))
+    size = jnp.where(size > 0, size, 1.0)
+    lack = (jnp.maximum(_LEFT * g, _LEAST_MARGIN) - g - slopes @ step) / size
+    pull = _multipliers(matrix / size[:, None] / size[None, :], lack)
+    step = step + across @ (pull / size)
+
+    def crosses(length: Array) -> Array:
+        return ~jnp.all(margins(x + length * step) >= 0)
+
+    shorter = 0.5 ** jnp.arange(_HALVINGS)
+    length = lax.while_loop(
+        lambda k: (k < _HALVINGS) & crosses(shorter[k]), lambda k: k + 1, jnp.zeros((), int)
+    )
+    return jnp.where(length < _HALVINGS, shorter[length], 0.0) * step, pull > 0
+
+
+def _multipliers(matrix: Float[Array, "q q"], lack: Float[Array, " q"]) -> Float[Array, " q"]:
+    """m >= 0 with s = A m - lack >= 0 and m_i s_i = 0; exactly 0 where m_i is the lesser one."""
+
+    def improve(_: Any, now: tuple[Array, Array]) -> tuple[Array, Array]:
+        m, s = now
+        gap, mean = matrix @ m - lack - s, jnp.mean(m * s)
+        move = (_CENTRING * mean - m * s) / m - gap
+        move = jnp.linalg.solve(matrix + jnp.diag(s / m), move)
+        both = jnp.stack([m, s]), jnp.stack([move, matrix @ move + gap])
+        room = jnp.where(both[1] < 0, -both[0] / both[1], jnp.inf)
+        length = jnp.minimum(1.0, _TO_EDGE * jnp.min(room))
+        new = both[0] + length * both[1]
+        better = (mean > _CONVERGED) & jnp.all(jnp.isfinite(new))
+        return jnp.where(better, new[0], m), jnp.where(better, new[1], s)
+
+    scale = jnp.maximum(1.0, jnp.max(jnp.abs(lack), initial=0.0))
+    m, s = lax.fori_loop(0, _INTERIOR_STEPS, improve, (scale + 0 * lack, scale + 0 * lack))
+    return jnp.where((m > s) & jnp.any(lack > 0), m, 0.0)
+
+
 def descend(
     loss: Callable[[Any], ScalarLike],
     start: PyTree,
     optimiser: optax.GradientTransformation,
     steps: Any = 500,
     tolerance: Any = 1e-20,
+    margins: Callable[[Any], PyTree] | None = None,
 ) -> Descent:
     """Minimises `loss` from `start` until it is at most `tolerance`, or for `steps` updates.
 
@@ -83,12 +148,14 @@ def descend(
     **Arguments:** `loss`, from a pytree like `start` to a scalar; its closure may be traced by
     `jit` and `vmap`, but not differentiated: for derivatives of a minimiser use
     `attach_derivative`.  `start`, a pytree of floats.  `optimiser`, any optax transformation.
+    `margins`, from a pytree like `start` to numbers that must stay at least 0, such as `lambda xi:
+    xi` for a damping ratio: steps end inside, see `stay_inside`.
 
     **Returns:** a `Descent`: `solution`, a pytree like `start`, `loss` there, `steps` and
     `result`.
 
     **Raises:** `ValueError` if `steps` is not a positive integer, `tolerance` is negative, or
-    `start` has no numbers.
+    `start` has no numbers or is outside the margins.
 
     >>> import jax, optax
     >>> jax.config.update("jax_enable_x64", True)
@@ -103,7 +170,12 @@ def descend(
     check_number("tolerance", tolerance, "1e-20 is usual for a squared residual.")
     check_nonnegative("tolerance", tolerance, "1e-20 is usual for a squared residual.")
     flat, unravel = unknowns(start)
+    check_function("margins", margins or unravel, "`start` -> numbers", 1)
 
+    def edges(x: Array) -> Array:
+        return ravel_pytree(margins(unravel(x)))[0] if margins else jnp.zeros(0)
+
+    check_nonnegative("margins(start)", edges(flat), "start where all of them are.")
     value = _forward(lambda x: jnp.asarray(loss(unravel(x)), dtype=float))
     transform = optax.with_extra_args_support(optimiser)
     gradient = jax.value_and_grad(value)
@@ -117,6 +189,8 @@ def descend(
     def update(carry: Any) -> Any:
         x, now, slope, state, k, path, losses = carry
         change, state = transform.update(slope, state, x, value=now, grad=slope, value_fn=value)
+        if margins is not None:
+            change, _ = stay_inside(edges, x, jnp.asarray(change))
         x = jnp.asarray(optax.apply_updates(x, change))
         now, slope = gradient(x)
         return x, now, slope, state, k + 1, path.at[k + 1].set(x), losses.at[k + 1].set(now)

@@ -33,6 +33,8 @@ from .friction import (
     TanhFriction,
     as_law,
     check_numbers,
+    friction_margins,
+    number_margins,
     spread_friction,
 )
 from .oscillators import AbstractOscillators
@@ -339,6 +341,21 @@ def chain_number(name: str, value: Any) -> Array:
             stacklevel=4,
         )
     return array
+
+
+def margins(chain: Chain) -> dict[str, Array]:
+    """How far the numbers of a chain are inside their domain, by words for its edges.
+
+    They are at least 0 where `Chain` and its law accept the numbers, and where damping is not
+    negative, and traceable: see `stay_inside` for searches that keep them so.
+
+    >>> from jaxchain import paper_chain
+    >>> {edge: round(float(margin), 3) for edge, margin in margins(paper_chain(1)).items()}
+    {'damping_ratio = 0': 0.05, 'stiffness = 0': 1.0, 'mu_static = 0': 1.0, \
+'mu_static = mu_dynamic': 0.5, 'mu_dynamic = 0': 0.5, 'v_ref = 0': 0.5, 'width = 0': 0.001}
+    """
+    own = {name: value for name, value in _chain_numbers(chain).items() if value is not None}
+    return {**number_margins(own), **friction_margins(chain.friction)}
 
 
 def map_numbers(change: Callable[[Any], Any], part: Any) -> Any:

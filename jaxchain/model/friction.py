@@ -38,6 +38,8 @@ from .parameters import CHAIN, parameter
 
 # Speeds at which a law is checked: from below any change to beyond any mass.
 _SPEEDS = np.concatenate([[0.0], np.geomspace(1e-12, 1e2, 1121)])
+# Of these, how many keep a search inside the domain of a law of your own.
+_MARGINS = 33
 # Shares of the greatest friction: a jump, and a difference that may hide one and is refined.
 _JUMP, _STEEP = 1e-6, 1e-9
 # The refinement repeatedly takes the steepest part of an interval, down to rounding.
@@ -117,7 +119,6 @@ _FINAL = {
     "numbers": "they are the fields that are not static.",
     "with_": "it changes the fields by their names; make each number a field.",
 }
-_ORDER_REMEDY = "friction at rest exceeds friction in motion; raise `mu_static`."
 
 
 def _number(name: str) -> Callable[[Any], Array]:
@@ -495,10 +496,34 @@ def spread_friction(friction: Any, like: Float[Array, " n"]) -> Any:
 
 
 def check_numbers(numbers: Mapping[str, Any]) -> None:
-    """Raises `ValueError` for a number without the sign that `model/parameters.py` requires."""
+    """Raises `ValueError` for a number outside its domain, see `model/parameters.py`."""
     for name, value in numbers.items():
         row = parameter(name)
         _SIGNS[row.sign](name, value, row.remedy)
+        if row.floor in numbers:
+            check_at_least(name, value, row.floor, numbers[row.floor], row.floor_remedy)
+
+
+def number_margins(numbers: Mapping[str, Any]) -> dict[str, Array]:
+    """How far numbers are inside their domain, by words for its edges: at least 0 inside."""
+    found = {}
+    for name, value in numbers.items():
+        row = parameter(name)
+        if (row.searched or row.sign) != "any":
+            found[f"{name} = 0"] = value
+        if row.floor in numbers:
+            found[f"{name} = {row.floor}"] = value - numbers[row.floor]
+    return found
+
+
+def friction_margins(friction: Any) -> dict[str, Array]:
+    """`number_margins` of a law, smoothed or not; of a law of your own its curve is at least 0."""
+    law, numbers = friction.law, friction.numbers()
+    if type(law).__module__ == __name__:
+        return number_margins(numbers)
+    speeds = jnp.asarray(_SPEEDS[:: _SPEEDS.size // _MARGINS])
+    own = {"width": numbers["width"]} if "width" in numbers else {}
+    return {"mu(s) = 0": jax.vmap(law.coefficient)(speeds), **number_margins(own)}
 
 
 def _check_weakening(
@@ -506,4 +531,3 @@ def _check_weakening(
 ) -> None:
     check_per_mass(**vars(law))
     check_numbers(vars(law))
-    check_at_least("mu_static", law.mu_static, "mu_dynamic", law.mu_dynamic, _ORDER_REMEDY)

@@ -9,6 +9,7 @@ import re
 from typing import Literal, NamedTuple
 
 SPEED = "x0 omega_n"
+Sign = Literal["any", "nonnegative", "positive"]
 
 
 class Parameter(NamedTuple):
@@ -17,6 +18,9 @@ class Parameter(NamedTuple):
     `symbol` is LaTeX without dollars, empty if there is none; `meaning` is the description in
     scene files, and `remedy` the end of an error message.  `per` is "mass" or "spring" if it may
     be given for each; a `required` number must be given in a scene, others have a `default`.
+    `sign` and `floor`, the name of another number that it must not fall below, are its domain.
+    Searches stay in this domain, and in `searched` where that is narrower: negative damping is a
+    model of its own, but as the result of a fit a mistake.
     `usual` is its value in the paper, eq. (7).
 
     >>> PARAMETERS["belt_speed"].label
@@ -31,7 +35,10 @@ class Parameter(NamedTuple):
     words: str
     symbol: str = ""
     unit: str = "1"
-    sign: Literal["any", "nonnegative", "positive"] = "any"
+    sign: Sign = "any"
+    floor: str = ""
+    floor_remedy: str = ""
+    searched: Sign | None = None
     per: Literal["chain", "mass", "spring"] = "mass"
     required: bool = False
     default: float | None = None
@@ -75,7 +82,7 @@ _ROWS = (
         remedy="it is a speed, such as 1.5.",
     ),
     Parameter(
-        "damping_ratio", "damping ratio", r"\xi", required=True, usual=0.05,
+        "damping_ratio", "damping ratio", r"\xi", searched="nonnegative", required=True, usual=0.05,
         meaning="One number, or one per mass.", remedy="it is a ratio, such as 0.05.",
     ),
     Parameter(
@@ -98,7 +105,8 @@ _ROWS = (
 _FRICTION_ROWS = (
     Parameter(
         "mu_static", "static friction coefficient", r"\mu_{st}", sign="nonnegative",
-        required=True, usual=1.0, meaning="Friction at rest.", remedy=_MU,
+        required=True, usual=1.0, meaning="Friction at rest.", remedy=_MU, floor="mu_dynamic",
+        floor_remedy="friction at rest exceeds friction in motion; raise `mu_static`.",
     ),
     Parameter(
         "mu_dynamic", "dynamic friction coefficient", r"\mu_d", sign="nonnegative",
