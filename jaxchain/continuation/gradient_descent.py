@@ -67,7 +67,7 @@ def check_descent(optimiser: Any, steps: Any) -> None:
 
 # The share of a margin that a step leaves, and the least margin that it aims at: next to an edge,
 # rounding must not lead across.
-_LEFT, _LEAST_MARGIN = 0.01, 1e-10
+_LEFT, _LEAST_MARGIN = 0.1, 1e-10
 # Steps of the interior-point method, its centring, the share of the way to its own edges, and the
 # mean product of multipliers and margins at which it ends.
 _INTERIOR_STEPS, _CENTRING, _TO_EDGE, _CONVERGED = 40, 0.1, 0.99, 1e-24
@@ -83,7 +83,7 @@ def stay_inside(
 ) -> tuple[Float[Array, " m"], Bool[Array, " q"]]:
     """(The step d nearest to `step` after which all margins are positive; which edges bend it.)
 
-    minimise 1/2 (d - step)^T H (d - step)   subject to   g_i + grad g_i d >= 0.01 g_i
+    minimise 1/2 (d - step)^T H (d - step)   subject to   g_i + grad g_i d >= 0.1 g_i
 
     for the `metric` H (by default 1) and the margins g(x) >= 0, in the multipliers by an interior-
     point method (Nocedal and Wright, Numerical Optimization, section 16.6).  So a search

@@ -85,6 +85,7 @@ from .variational import Along, Period, Returned, Returns
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
 _PEAKS = 12  # the number of velocity maxima to examine
+_MOST_STEPS = 20_000  # of a dry run over a period: a search may try absurd periods and laws
 _MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
 _ROUNDING = 1e-9  # of the number of periods in a run
 
@@ -457,6 +458,7 @@ class _States(eqx.Module):
             observe=observe,
             solver=self.solver,
             rtol=self.rtol,
+            max_steps=_MOST_STEPS,
             throw=False,
         )
 

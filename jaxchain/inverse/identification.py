@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,9 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
+from scipy.special import chdtr, chdtrc
 
 from .._checks import (
     check_kind,
@@ -25,9 +28,9 @@ from .._checks import (
 )
 from .._final import final
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import MOST_STEPS, unknowns
+from ..continuation.gradient_descent import MOST_STEPS, stay_inside, unknowns
 from ..model.arguments import as_state
-from ..model.chain import Chain
+from ..model.chain import Chain, margins
 from ..model.initial_states import check_mass
 from ..result import Outcome, Printed, SearchResult
 from .measurements import (
@@ -48,8 +51,15 @@ _GAIN, _SIGNAL_GAIN = 1e-9, 1e-4
 # share of the bend.  Fits of `Measurements` take as few steps without, and compile sooner, because
 # the curvature needs all predictions once more.
 _AHEAD, _BEND = 0.1, 0.75
-# Above this multiple of the number of values, chi^2 tells of a wrong fit.
-_BAD = 2.0
+# The probability below which a chi^2 is too great or too small to come by chance; that of a wrong
+# fit, a multiple of the number of values, need not be exact: the search ends if it has not fallen
+# by the share within so many predictions.
+_CHANCE, _HOPELESS, _SHARE, _PATIENCE = 1e-4, 10.0, 0.01, 10
+# What may be wrong with a signal, see `_hints`; and the share of chi^2 that a cause leaves.
+_CAUSES, _REST = ("offset", "scale", "clock"), 0.5
+# A mean below this share of the standard deviation was removed; a vibration that explains less
+# than this share of the variance is not there.
+_NO_MEAN, _NO_VIBRATION = 0.15, 0.5
 # Further starts are off by this share; a first fit has the period of a signal to this share.
 _SPREAD, _CLOCK = 0.2, 1e-3
 # The time of the beginning of a signal with a start, some periods, and how many parts of it are
@@ -58,6 +68,8 @@ _BEGINNING, _PARTS = 20.0, 4
 # Below the first share of the greatest, singular values of the scaled Jacobian are integration
 # errors; so are entries of a singular vector below the second share.
 _SINGULAR, _PART = 1e-6, 1e-3
+# The least effect of a number on the scale of a step, relative to the greatest.
+_EFFECT = 1e-8
 
 
 @final
@@ -75,6 +87,9 @@ class Identification(Outcome):
       squares, is about m - p for a correct model and much more otherwise.
     - `phase`: of a `Signal`, at its first time, in periods after the state of `find_limit_cycle`.
     - `start`: of a `Signal` that has one, the start of best fit.
+    - `offset`: of a `Signal`, 0 or, if it is unknown, that of best fit.
+    - `at_edge`: for each edge of the domain of the chain's numbers whether the fit is held back by
+      it: errors do not hold there.
     - `result`; `evaluations`: the number of predictions with derivatives.
 
     See `identify` for an example.
@@ -92,6 +107,8 @@ class Identification(Outcome):
     chi_squared: Float[Array, ""]
     phase: Float[Array, ""]
     start: tuple[Float[Array, " n"], Float[Array, " n"]] | None
+    offset: Float[Array, ""]
+    at_edge: dict[str, Bool[Array, ""]]
     result: SearchResult
     evaluations: Int[Array, ""]
 
@@ -108,8 +125,10 @@ class _Fit(eqx.Module):
     z: Float[Array, " p"]
     residuals: Float[Array, " m"]
     slopes: Float[Array, "m p"]
+    further: Float[Array, "2"]  # the offset and the period of a signal
     damping: Float[Array, ""]
     gain: Float[Array, ""]  # of chi^2, expected of the next step
+    slow: Int[Array, ""]  # predictions in a row that did not lower chi^2 by much
     count: Int[Array, ""]
 
 
@@ -134,7 +153,8 @@ def identify(
     loop, with confidence intervals from the curvature, which are correct for small Gaussian noise.
 
     **Arguments:** `chain` with all other numbers; `change(chain, theta)`, the chain for theta;
-    `start`, the first theta, any pytree: its chain must vibrate where vibrations were measured;
+    `start`, the first theta, any pytree: its chain must vibrate where vibrations were measured.
+    The search stays where `Chain` and its law accept the numbers and damping is not negative;
     `measurements`: `Measurements`, or a `Signal`, of which first the shape of the cycle is fitted
     and then every value; or, if it has a `start`, first the beginning, and then more and more of
     it, so that phases are followed; `mass` as in `predict`; `starts`: how many starts are tried at
@@ -148,8 +168,9 @@ def identify(
     **Returns:** an `Identification`.
 
     **Raises:** `ValueError` for bad input, and if the start predicts no vibration or fold where
-    one was measured.  **Warns** if the data do not determine every parameter, and if a signal is
-    not fitted to its noise.
+    one was measured.  **Warns** if the data do not determine every parameter, if the fit is at an
+    edge of the domain, and if chi^2 is too great (with the cause, where a signal shows it) or too
+    small for the noise to be right, either with a probability of 1e-4 by chance.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
@@ -169,11 +190,12 @@ def identify(
     flat, unravel = unknowns(start)
     check_change(change, chain, unravel(flat))
     problem = _FitProblem(chain, measurements, change, mass, unravel)
+    problem = problem.with_edges(flat)
     draws = np.random.default_rng(0).standard_normal((starts, flat.size))
     draws[0] = 0.0
-    fit = _best_fit(problem, flat[None, :] * (1.0 + _SPREAD * jnp.asarray(draws)), steps)
+    fit, hints = _best_fit(problem, flat, _SPREAD * jnp.asarray(draws) * flat[None, :], steps)
     if not is_traced(fit):
-        _complain(problem, fit, unravel(flat))
+        _complain(problem, fit, hints, unravel(flat))
     return fit
 
 
@@ -189,6 +211,17 @@ class _FitProblem(eqx.Module):
     # A number of theta that is not fitted: its place and value.
     place: int | None = eqx.field(static=True, default=None)
     value: Array | None = None
+    # Edges that hold a search back: not that of damping which is negative at the start.
+    edges: Bool[Array, " q"] | None = None
+
+    def with_edges(self, theta: Array) -> _FitProblem:
+        """The problem with the edges that the first theta is inside of."""
+        inside = ravel_pytree(margins(self.change(self.chain, self.unravel(theta))))[0] >= 0
+        return eqx.tree_at(lambda p: p.edges, self, inside, is_leaf=lambda leaf: leaf is None)
+
+    def margins(self, z: Array) -> Float[Array, " q"]:
+        """How far inside its domain each number is."""
+        return jnp.where(self.edges, ravel_pytree(margins(self.at(z)[1]))[0], 1.0)
 
     @property
     def extra(self) -> int:
@@ -219,29 +252,41 @@ class _FitProblem(eqx.Module):
 
     def residuals(self, z: Array) -> Array:
         """(measured - predicted) / noise, of a signal also of a period that is held."""
-        chain, measured = self.at(z)[1], self.measurements
+        return self.compared(z)[0]
+
+    def compared(self, z: Array) -> tuple[Array, Array]:
+        """(the residuals, the offset and the period of a signal or NaN)."""
+        chain, measured, nan = self.at(z)[1], self.measurements, jnp.asarray(jnp.nan)
         if not isinstance(measured, Signal):
-            return in_noise(measured, measured.values - predict(chain, measured, self.mass))[0]
+            gaps, _ = in_noise(measured, predict(chain, measured, self.mass))
+            return gaps, jnp.stack([nan, nan])
         free, times = jnp.isnan(self.clock), measured.times - measured.times[0]
         if (start := self.start(z)) is not None:
             measured = eqx.tree_at(lambda signal: signal.start, measured, start)
-            gaps = (measured.values - predict(chain, measured, self.mass)) / measured.noise
-            return jnp.where(free | (times <= self.clock), gaps, 0.0)
+            counted = jnp.where(free | (times <= self.clock), 1.0, 0.0)
+            predicted = predict(chain, measured, self.mass)
+            shift = measured.shift(predicted, counted)
+            return measured.gaps(predicted, counted), jnp.stack([shift, nan])
         cycle = Waveform(chain, self.mass, measured.what)
         clock = jnp.where(free, cycle.period, self.clock)
         values = cycle(times / clock + z[-1])
         late = jnp.where(free, 0.0, (1.0 - cycle.period / clock) / _CLOCK)
-        return jnp.append((measured.values - values) / measured.noise, late)
+        further = jnp.stack([measured.shift(values), cycle.period])
+        return jnp.append(measured.gaps(values), late), further
 
-    def linearised(self, z: Array) -> tuple[Array, Array]:
-        """((measured - predicted) / noise, d(predicted / noise)/dz), the latter forward."""
+    def linearised(self, z: Array) -> tuple[Array, Array, Array]:
+        """((measured - predicted) / noise, d(predicted / noise)/dz, offset and period).
 
-        def twice(z: Array) -> tuple[Array, Array]:
-            gaps = self.residuals(z)
-            return -gaps, gaps
+        The derivatives are forward.  Outside the domain residuals are NaN.
+        """
 
-        slopes, residuals = jax.jacfwd(twice, has_aux=True)(z)
-        return residuals, slopes
+        def twice(z: Array) -> tuple[Array, tuple[Array, Array]]:
+            gaps, further = self.compared(z)
+            return -gaps, (gaps, further)
+
+        slopes, (residuals, further) = jax.jacfwd(twice, has_aux=True)(z)
+        inside = jnp.all(self.margins(z) >= 0)
+        return jnp.where(inside, residuals, jnp.nan), slopes, further
 
 
 @final
@@ -316,7 +361,8 @@ def profile(
             f"Argument `place` = {place} must be that of a number that the data determine, but "
             "others can compensate it: fix one of them."
         )
-    problem = _FitProblem(chain, measurements, change, mass, unravel, place=int(place))
+    problem = _FitProblem(chain, measurements, change, mass, unravel).with_edges(flat)
+    problem = replace(problem, place=int(place))
     return _profile(problem, found, flat, to_float(reach), points, to_float(confidence), steps)
 
 
@@ -340,12 +386,10 @@ def _profile(
         if problem.extra:
             more = found.phase if found.start is None else jnp.concatenate(found.start)
             start = jnp.append(start, more)
-        fixed = _FitProblem(
-            problem.chain, problem.measurements, problem.change, problem.mass, problem.unravel,
-            place=place, value=value,
-        )  # fmt: skip
+        fixed = replace(problem, value=value)
         if not start.size:
-            return jnp.sum(fixed.residuals(start) ** 2)
+            inside = jnp.all(fixed.margins(start) >= 0)
+            return jnp.where(inside, jnp.sum(fixed.residuals(start) ** 2), jnp.nan)
         return _fit(fixed, start, steps)[0].chi_squared
 
     chi = jax.vmap(best)(values)
@@ -363,9 +407,15 @@ def _profile(
 
 @eqx.filter_jit
 def _best_fit(
-    problem: _FitProblem, starts: Float[Array, "starts p"], steps: int
-) -> Identification:
-    """The fit with the least chi^2 of those from several starts."""
+    problem: _FitProblem, first: Float[Array, " p"], apart: Float[Array, "starts p"], steps: int
+) -> tuple[Identification, Array]:
+    """The fit with the least chi^2 of those from several starts, and its `_hints`."""
+    more = jnp.zeros(problem.extra)
+
+    def inside(theta: Array) -> Array:
+        return problem.margins(jnp.append(theta, more))
+
+    starts = first[None, :] + jax.vmap(lambda d: stay_inside(inside, first, d)[0])(apart)
     measured, clocks = problem.measurements, problem.clock[None]
     if isinstance(measured, Signal) and measured.start is not None:
         given = jnp.concatenate(as_state(problem.chain, measured.start, "measurements.start"))
@@ -379,14 +429,14 @@ def _best_fit(
         starts = jnp.concatenate([starts, phases[:, None]], axis=1)
         clocks = jnp.append(clock[None], clocks)  # first the shape of the cycle, then every value
 
-    def stage(z: Array, clock: Array) -> tuple[Array, Identification]:
-        fit, z = _fit(eqx.tree_at(lambda p: p.clock, problem, clock), z, steps)
-        return z, fit
+    def stage(z: Array, clock: Array) -> tuple[Array, tuple[Identification, Array]]:
+        fit, z, hints = _fit(eqx.tree_at(lambda p: p.clock, problem, clock), z, steps)
+        return z, (fit, hints)
 
     # One after the other in a loop, so that a fit is compiled once.
     fits = jax.vmap(lambda z: lax.scan(stage, z, clocks)[1])(starts)
     fits = jax.tree.map(lambda leaf: leaf[:, -1], fits)
-    chi = jnp.where(jnp.isfinite(fits.chi_squared), fits.chi_squared, jnp.inf)
+    chi = jnp.where(jnp.isfinite(fits[0].chi_squared), fits[0].chi_squared, jnp.inf)
     return jax.tree.map(lambda leaf: leaf[jnp.argmin(chi)], fits)
 
 
@@ -396,53 +446,66 @@ def _waveform(problem: _FitProblem, theta: Array) -> Waveform:
     return Waveform(chain, problem.mass, measured.what)
 
 
-def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification, Array]:
-    """(the fit, all its unknowns)."""
+def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification, Array, Array]:
+    """(the fit, all its unknowns, its `_hints`)."""
     infinite = jnp.asarray(jnp.inf)
     m, p = problem.count, start.size
     enough = _SIGNAL_GAIN if problem.extra else _GAIN
 
-    def step(now: _Fit, curved: bool = False) -> tuple[Array, Array]:
-        """(step, the fall of chi^2 that a linear model expects of it)."""
-        lengths = _lengths(now.slopes)
+    def step(now: _Fit, curved: bool = False) -> tuple[Array, Array, Array]:
+        """(step, the fall of chi^2 that a linear model expects of it, the edges that bend it)."""
+        # A number without effect has no scale of its own.
+        size = jnp.where(now.z == 0, 1.0, jnp.abs(now.z))
+        lengths = _lengths(now.slopes) * size
+        lengths = jnp.maximum(lengths, _EFFECT * jnp.max(lengths)) / size
         scaled = now.slopes / lengths[None, :]
         matrix = scaled.T @ scaled + now.damping * jnp.eye(p)
+        metric = matrix * lengths[:, None] * lengths[None, :]
         slope = scaled.T @ now.residuals
-        move = jnp.linalg.solve(matrix, slope)
-        gain = jnp.sum(move * (slope + now.damping * move))
+        free = jnp.linalg.solve(matrix, slope) / lengths
+        move, bent = stay_inside(problem.margins, now.z, free, metric)
+        fall = scaled @ (lengths * move)
+        gain = jnp.sum(fall * (2.0 * now.residuals - fall))
         if curved:
-            ahead = problem.residuals(now.z + _AHEAD * move / lengths)
-            bend = (now.residuals - ahead) / _AHEAD - scaled @ move
+            ahead = problem.residuals(now.z + _AHEAD * move)
+            bend = (now.residuals - ahead) / _AHEAD - fall
             bend = -jnp.linalg.solve(matrix, scaled.T @ bend) / _AHEAD
-            slight = jnp.linalg.norm(bend) <= _BEND * jnp.linalg.norm(move)
-            move = move + jnp.where(slight, bend, 0.0)
-        return move / lengths, gain
+            slight = jnp.linalg.norm(bend) <= _BEND * jnp.linalg.norm(lengths * move)
+            bend = jnp.where(slight, bend, 0.0) / lengths
+            move, _ = stay_inside(problem.margins, now.z, move + bend, metric)
+        return move, gain, bent
 
     def going(now: _Fit) -> Array:
         # The start itself has no gain yet; a start that predicts nothing ends the search.
         sound = jnp.all(jnp.isfinite(now.residuals)) | (now.count == 0)
+        sound &= (now.slow < _PATIENCE) | (jnp.sum(now.residuals**2) < _HOPELESS * m)
         return sound & (now.count < steps) & (now.gain > enough) & (now.damping < _GREATEST)
 
     def body(now: _Fit) -> _Fit:
         first = now.count == 0
-        move, _ = step(now, curved=problem.extra > 0)
+        move, _, _ = step(now, curved=problem.extra > 0)
         trial = now.z + jnp.where(first, 0.0, move)
-        residuals, slopes = problem.linearised(trial)
+        residuals, slopes, further = problem.linearised(trial)
         sound = jnp.all(jnp.isfinite(residuals)) & jnp.all(jnp.isfinite(slopes))
-        good = first | (sound & (jnp.sum(residuals**2) < jnp.sum(now.residuals**2)))
+        share = jnp.sum(residuals**2) / jnp.sum(now.residuals**2)
+        good = first | (sound & (share < 1.0))
+        slow = jnp.where(first | (sound & (share < 1.0 - _SHARE)), 0, now.slow + 1)
         damping = jnp.where(good, jnp.maximum(_LESS * now.damping, _LEAST), _MORE * now.damping)
         damping = jnp.where(first, _FIRST, damping)
-        new = _Fit(trial, residuals, slopes, damping, infinite, now.count + 1)
-        old = _Fit(now.z, now.residuals, now.slopes, damping, infinite, now.count + 1)
+        new = _Fit(trial, residuals, slopes, further, damping, infinite, slow, now.count + 1)
+        old = replace(now, damping=damping, gain=infinite, slow=slow, count=now.count + 1)
         taken = where(good, new, old)
         # Judged with little damping, so that a short step does not count as convergence.
-        _, gain = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))
+        _, gain, _ = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))
         return eqx.tree_at(lambda f: f.gain, taken, gain)
 
+    none = jnp.zeros((), int)
     blank = _Fit(
-        start, jnp.zeros(m), jnp.zeros((m, p)), jnp.asarray(_FIRST), infinite, jnp.zeros((), int)
-    )
+        start, jnp.zeros(m), jnp.zeros((m, p)), jnp.zeros(2), jnp.asarray(_FIRST), infinite, none,
+        none,
+    )  # fmt: skip
     last = lax.while_loop(going, body, blank)
+    _, _, bent = step(eqx.tree_at(lambda f: f.damping, last, jnp.asarray(_LEAST)))
 
     covariance, correlation, determined, condition = _curvature(last.slopes)
     own = slice(p - problem.extra)
@@ -452,6 +515,9 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
     result = of.where(last.gain <= enough, of.successful, result)
     errors = jnp.where(determined, jnp.sqrt(jnp.diagonal(covariance)), jnp.inf)
     theta, chain = problem.at(last.z)
+    _, named = ravel_pytree(margins(chain))
+    bent = bent & jnp.all(jnp.isfinite(last.residuals))
+    at_edge = jax.tree.map(lambda edge: jnp.any(edge > 0), named(jnp.where(bent, 1.0, 0.0)))
     fit = Identification(
         theta=theta,
         chain=chain,
@@ -464,10 +530,39 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         chi_squared=jnp.sum(last.residuals**2),
         phase=last.z[-1] if problem.extra == 1 else jnp.asarray(jnp.nan),
         start=problem.start(last.z),
+        offset=last.further[0],
+        at_edge=at_edge,
         result=result,
         evaluations=last.count,
     )
-    return fit, last.z
+    return fit, last.z, _hints(problem, last, bent)
+
+
+def _hints(problem: _FitProblem, last: _Fit, bent: Array) -> Float[Array, "causes 2"]:
+    """Of a signal, for each of `_CAUSES`: (its size, the chi^2 that it would leave).
+
+    Each is one more linear unknown beside all others, which stay at the edges that they are at.
+    """
+    signal = problem.measurements
+    if not isinstance(signal, Signal):
+        return jnp.full((len(_CAUSES), 2), jnp.nan)
+    gaps, slopes = last.residuals[: signal.count], last.slopes[: signal.count]
+    times, offset, period = signal.times - signal.times[0], last.further[0], last.further[1]
+    predicted = signal.values - offset - gaps * signal.noise
+    faster = times / period * slopes[:, -1] if problem.extra == 1 else jnp.zeros_like(gaps)
+    causes = jnp.stack([1.0 / signal.noise, predicted / signal.noise, faster], axis=1)
+    edges = jnp.where(bent[:, None], jax.jacfwd(problem.margins)(last.z), 0.0)
+    lengths = _lengths(slopes)
+    edges = edges / lengths[None, :]
+    free = jnp.eye(lengths.size) - jnp.linalg.pinv(edges, rtol=_SINGULAR) @ edges
+    left, size, _ = jnp.linalg.svd(slopes / lengths[None, :] @ free, full_matrices=False)
+    left = jnp.where(size > _SINGULAR * size[0], left, 0.0)
+    if signal.offset is not None:
+        left = jnp.concatenate([left, causes[:, :1] / jnp.linalg.norm(causes[:, 0])], axis=1)
+    gaps, causes = gaps - left @ (left.T @ gaps), causes - left @ (left.T @ causes)
+    squares = jnp.sum(causes**2, axis=0)
+    share = causes.T @ gaps / jnp.where(squares > 0, squares, jnp.inf)
+    return jnp.stack([share, jnp.sum(gaps**2) - share**2 * squares], axis=1)
 
 
 def _lengths(slopes: Array) -> Array:
@@ -495,36 +590,93 @@ def _curvature(slopes: Array) -> tuple[Array, Array, Array, Array]:
     return covariance, correlation, determined, condition
 
 
-def _complain(problem: _FitProblem, fit: Identification, start: PyTree) -> None:
+def _complain(problem: _FitProblem, fit: Identification, hints: Array, start: PyTree) -> None:
     if not np.all(np.isfinite(fit.residuals)):
         raise ValueError(
             "Argument `start` predicts no vibration, fold or Hopf point where one was measured: "
             "start from more friction at rest, or less damping."
         )
-    count = problem.measurements.count
-    if problem.extra and fit.chi_squared > _BAD * count:
-        warnings.warn(
-            f"The fit leaves a chi^2 of {float(fit.chi_squared):.3g} for {count} values: model or "
-            "noise are not those of the signal, or the search stopped at a wrong phase. Look at "
-            "`residuals`, or try more `starts`.",
-            stacklevel=3,
+    texts, measured = [], problem.measurements
+    is_signal = isinstance(measured, Signal)
+    unknowns = fit.determined.size + problem.extra + (is_signal and measured.offset is not None)
+    chi, count, freedom = float(fit.chi_squared), measured.count, measured.count - unknowns
+    edges = ", ".join(f"`{name}`" for name, there in fit.at_edge.items() if there)
+    too_great = chdtrc(max(freedom, 1), chi) < _CHANCE
+    reasons = _reasons(measured, fit, hints) if is_signal and (too_great or edges) else ""
+    if too_great and is_signal:
+        texts.append(
+            f"The fit leaves a chi^2 of {chi:.3g} for {count} values: model or noise are not "
+            "those of the signal, or the search stopped at a wrong phase. "
+            f"{reasons}Look at `residuals`, or try more `starts`."
         )
-    if np.all(fit.determined):
-        return
-    names = [
-        "theta" + jtu.keystr(path) + (f"[{i}]" if jnp.ndim(leaf) else "")
-        for path, leaf in jtu.tree_leaves_with_path(start)
-        for i in range(jnp.size(leaf))
-    ]
-    which = [
-        n
-        for n, is_determined in zip(names, np.asarray(fit.determined), strict=True)
-        if not is_determined
-    ]
-    warnings.warn(
-        f"The measurements do not determine {', '.join(which)}: a joint change of these has "
-        "no effect on them. Fix one of them, or measure something else, such as a displacement "
-        "in steady "
-        "sliding.",
-        stacklevel=3,
+    elif too_great:
+        worst = int(np.argmax(np.abs(fit.residuals)))
+        texts.append(
+            f"The fit leaves a chi^2 of {chi:.3g} for {count} values: the measurements contradict "
+            "each other or the model, or their noise is greater than given, so the standard "
+            f"errors are too small. The worst is number {worst} of `values`, off by "
+            f"{float(fit.residuals[worst]):.3g} times its noise: see `residuals`."
+        )
+    elif freedom > 0 and chdtr(freedom, chi) < _CHANCE:
+        texts.append(
+            f"The fit leaves a chi^2 of only {chi:.3g} for {count} values and {unknowns} unknowns:"
+            f" their noise is about {np.sqrt(chi / freedom):.2g} times the `noise` given, and the "
+            "standard errors are too great by as much. Give the standard deviation of one value."
+        )
+    if edges:
+        texts.append(
+            f"The fit is at the edge of the domain, {edges}: the measurements ask for values "
+            "beyond it, and the standard errors do not hold there. "
+            f"{'' if too_great else reasons}Check signs, offsets and units of the measurements, "
+            "and the numbers that are not fitted."
+        )
+    try:
+        problem.change(problem.chain, fit.theta)
+    except ValueError as error:
+        texts.append(f"The fit makes no chain, start elsewhere. {error}")
+    if not np.all(fit.determined):
+        names = [
+            "theta" + jtu.keystr(path) + (f"[{i}]" if jnp.ndim(leaf) else "")
+            for path, leaf in jtu.tree_leaves_with_path(start)
+            for i in range(jnp.size(leaf))
+        ]
+        which = [
+            n
+            for n, is_determined in zip(names, np.asarray(fit.determined), strict=True)
+            if not is_determined
+        ]
+        texts.append(
+            f"The measurements do not determine {', '.join(which)}: a joint change of these has "
+            "no effect on them. Fix one of them, or measure something else, such as a "
+            "displacement in steady sliding."
+        )
+    for text in texts:
+        warnings.warn(text, stacklevel=3)
+
+
+def _reasons(signal: Signal, fit: Identification, hints: Array) -> str:
+    """What may be wrong with a signal that is not fitted, in sentences; empty if not known."""
+    values, gaps = np.asarray(signal.values), np.asarray(fit.residuals * signal.noise)
+    spread, mean = np.std(values), np.mean(values) * np.sign(float(fit.chain.belt_speed))
+    found = []
+    if signal.what != "velocity" and signal.offset is None and mean < _NO_MEAN * spread:
+        found.append(
+            "Their mean is opposite to the belt, which pulls the mass along: is the sign reversed?"
+            if mean < -_NO_MEAN * spread
+            else "Their mean is 0, but the belt pulls the mass along: if it was removed, give "
+            '`Signal(offset="unknown")`; if it is a velocity, `what="velocity"`.'
+        )
+    if (share := 1.0 - (np.std(gaps) / spread) ** 2) < _NO_VIBRATION:
+        found.append(
+            f"The vibration explains {max(share, 0.0):.0%} of their variance: are they noise, or "
+            "are the times wrong?"
+        )
+    texts = (
+        'A constant offset of {0:.3g} would leave {1:.3g}: give `Signal(offset="unknown")`.',
+        "A factor of {2:.3g} would leave {1:.3g}: check their unit.",
+        "A clock that is {3:.2g} % off would leave {1:.3g}: check the unit of the times.",
     )
+    for text, (size, rest) in zip(texts, np.asarray(hints), strict=True):
+        if rest < _REST * float(fit.chi_squared):
+            found.append(text.format(size, rest, 1.0 + size, 100.0 * abs(size)))
+    return "".join(f"{text} " for text in found)

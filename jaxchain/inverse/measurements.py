@@ -53,6 +53,8 @@ _PHASES, _PHASE_STEPS, _MOST_HARMONICS = 128, 4, 32
 _ROUNDING = 1e-9
 # Nodes of the interpolation of a dry cycle while it slips and sticks.
 _NODES = 129, 17
+# Steps of a run, some 5,000 periods: a search may try laws for which they are very small.
+_MOST_STEPS = 500_000
 # How close to the speed of the belt a mass that sticks is.
 _HELD = 1e-6
 What = Literal["displacement", "velocity", "friction_force"]
@@ -157,6 +159,9 @@ class Signal(Printed, eqx.Module):
       mass.  A block that is pulled by a spring over a floor at rest is a mass on a moving belt: x
       is then the stretch of the spring, and its force k x.  Where friction jumps as the mass comes
       to the belt, a search may stop at a wrong time of the jump; it warns then.
+    - `offset`: None if the values are those of the model; "unknown" if a constant was added to or
+      taken from them, as by an amplifier that removes the mean (AC coupling), or a sensor without
+      a zero.  `identify` and `log_likelihood` then fit the constant, too, and `predict` has none.
     - `start`: the state (x, v) of all masses at the first time, for a record that is not one of a
       limit cycle, such as a decay.  `identify` takes it for a guess, and finds it with the other
       unknowns.
@@ -180,6 +185,7 @@ class Signal(Printed, eqx.Module):
     noise: Float[Array, " m"]
     what: What = eqx.field(static=True)
     start: tuple[Array, ...] | None
+    offset: Literal["unknown"] | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -189,8 +195,13 @@ class Signal(Printed, eqx.Module):
         what: What = "displacement",
         *,
         start: Any = None,
+        offset: Any = None,
     ):
         require_x64()
+        if offset is not None:
+            check_kind("offset", offset, str, 'None or "unknown"', "subtract a known one.")
+            check_one_of("offset", offset, ("unknown",))
+        self.offset = offset
         parts = {"times": times, "values": values, "noise": noise}
         parts = {name: to_float(value, name) for name, value in parts.items()}
         shape = parts["times"].shape
@@ -224,6 +235,18 @@ class Signal(Printed, eqx.Module):
     def count(self) -> int:
         """The number of values, m."""
         return self.values.size
+
+    def shift(self, predicted: Float[Array, " m"], counted: Any = 1.0) -> Float[Array, ""]:
+        """The unknown offset of best fit, 0 without one; of the values that are `counted`."""
+        if self.offset is None:
+            return jnp.zeros(())
+        weights = counted / self.noise**2
+        return jnp.sum(weights * (self.values - predicted)) / jnp.sum(weights)
+
+    def gaps(self, predicted: Float[Array, " m"], counted: Any = 1.0) -> Float[Array, " m"]:
+        """(measured - predicted - offset) / noise."""
+        shift = self.shift(predicted, counted)
+        return counted * (self.values - predicted - shift) / self.noise
 
     def period(self, near: Any) -> Float[Array, ""]:
         """The period of the signal, sought from 0.7 to 1.4 of the period `near`.
@@ -301,10 +324,13 @@ def _correlation(given: Any, count: int) -> Float[Array, "m m"]:
     return matrix
 
 
-def in_noise(measurements: Any, gaps: Float[Array, " m"]) -> tuple[Array, Array]:
-    """(L^-1 gaps, log det L) with the covariance L L^T of the noise."""
-    gaps, scale = gaps / measurements.noise, jnp.sum(jnp.log(measurements.noise))
-    if isinstance(measurements, Signal) or measurements.correlation is None:
+def in_noise(measurements: Any, predicted: Float[Array, " m"]) -> tuple[Array, Array]:
+    """(L^-1 (measured - predicted), log det L) with the covariance L L^T of the noise."""
+    scale = jnp.sum(jnp.log(measurements.noise))
+    if isinstance(measurements, Signal):
+        return measurements.gaps(predicted), scale
+    gaps = (measurements.values - predicted) / measurements.noise
+    if measurements.correlation is None:
         return gaps, scale
     L = jnp.linalg.cholesky(measurements.correlation)
     gaps = jax.scipy.linalg.solve_triangular(L, gaps, lower=True)
@@ -319,9 +345,12 @@ def check_measurements(measurements: Any) -> None:
 
 
 def check_change(change: Any, chain: Chain, theta: Any) -> None:
-    """Raises `ValueError` unless `change` makes a chain of a chain and unknowns."""
+    """Raises `ValueError` unless `change` makes a chain of a chain and these unknowns."""
     check_function("change", change, "chain, theta -> the chain with these numbers", 2)
-    made = eqx.filter_eval_shape(change, chain, theta)
+    try:
+        made = change(chain, theta)
+    except ValueError as error:
+        raise ValueError(f"Argument `start` makes no chain. {error}") from error
     check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
 
 
@@ -438,6 +467,7 @@ def _run(chain: Chain, state: Any, time: Array, observe: Any) -> Any:
     """What is observed of a run."""
     solver = EventDriven(_ORDER) if chain.dry else None
     how = {"observe": observe, "solver": solver, "rtol": _RTOL, "throw": False}
+    how["max_steps"] = _MOST_STEPS
     return simulate(chain, state, time, **how).observed
 
 
@@ -532,7 +562,7 @@ class Waveform(eqx.Module):
 
         def misfit(phase: Array) -> Array:
             values = jnp.interp(times + phase, grid, wave, period=1.0)
-            return jnp.sum(((signal.values - values) / signal.noise) ** 2)
+            return jnp.sum(signal.gaps(values) ** 2)
 
         return grid[jnp.argmin(lax.map(misfit, grid))]
 
@@ -580,7 +610,7 @@ def log_likelihood(
     if isinstance(measurements, Signal) and measurements.start is None and phase is None:
         phase = best_phase(lax.stop_gradient(chain), measurements, mass)
     predicted = predict(chain, measurements, mass, phase)
-    gaps, scale = in_noise(measurements, measurements.values - predicted)
+    gaps, scale = in_noise(measurements, predicted)
     return -jnp.sum(gaps**2 / 2 + jnp.log(jnp.sqrt(2 * jnp.pi))) - scale
 
 
@@ -589,9 +619,10 @@ def best_phase(chain: Chain, signal: Signal, mass: int) -> Float[Array, ""]:
     first = Waveform(chain, mass, signal.what)
     phase = first.phase(signal, first.period)
     for _ in range(_PHASE_STEPS):
-        values, slope = jax.jvp(
-            lambda phase: predict(chain, signal, mass, phase), (phase,), (jnp.ones(()),)
+        gaps, slope = jax.jvp(
+            lambda phase: signal.gaps(predict(chain, signal, mass, phase)),
+            (phase,),
+            (jnp.ones(()),),
         )
-        slope, gaps = slope / signal.noise, (signal.values - values) / signal.noise
-        phase = phase + jnp.sum(slope * gaps) / jnp.sum(slope**2)
+        phase = phase - jnp.sum(slope * gaps) / jnp.sum(slope**2)
     return lax.stop_gradient(phase)

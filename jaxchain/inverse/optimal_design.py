@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -11,15 +12,22 @@ import jax.numpy as jnp
 import optax
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from .._checks import check_function, check_positive, check_positive_number, shown, to_float
+from .._checks import (
+    check_function,
+    check_positive,
+    check_positive_number,
+    is_traced,
+    shown,
+    to_float,
+)
 from .._final import final
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.ranges import StabilityRange, stability_range
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import check_descent, unknowns
-from ..model.chain import Chain
+from ..continuation.gradient_descent import check_descent, stay_inside, unknowns
+from ..model.chain import Chain, margins
 from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
 from .measurements import check_change
@@ -45,6 +53,8 @@ class Design(Outcome):
     - `residual`: the greater of |grad cost + lambda grad g| and the violation of g <= 0.
     - `result`: successful if `residual` is at most the tolerance (a local optimum).
     - `evaluations`: the number of boundaries, or blows, with derivatives.
+    - `at_edge`: for each edge of the domain of the chain's numbers whether the design is held back
+      by it.
     - `path`, `costs`, `aims`: every design tried, its cost, and its speed or blow; NaN from entry
       `evaluations` on.
 
@@ -62,6 +72,7 @@ class Design(Outcome):
     residual: Float[Array, ""]
     result: SearchResult
     evaluations: Int[Array, ""]
+    at_edge: dict[str, Bool[Array, ""]]
     path: PyTree
     costs: Float[Array, " steps"]
     aims: Float[Array, " steps"]
@@ -128,13 +139,13 @@ def design(
     method is the augmented Lagrangian (Nocedal and Wright, Numerical Optimization, chapter 17) in
     one compiled loop, which evaluates one boundary, or blow, with its derivatives per round.  A
     design without vibration meets the target.  A step is shortened if its boundary or blow is not
-    found, or if steady sliding is unstable where a blow is the target.
+    found, or if steady sliding is unstable where a blow is the target.  Steps stay where `Chain`
+    and its law accept the numbers, and damping is not negative.
 
     **Arguments:**
 
     - `change(chain, theta)`, the chain of a design, for instance `lambda chain, xi:
-      chain.with_(damping_ratio=xi)`; `start`, the first theta, any pytree. Use the logarithm of a
-      number that must stay positive.
+      chain.with_(damping_ratio=xi)`; `start`, the first theta, any pytree.
     - `width_below`, `highest_below` or `blow_above`: the target, a dimensionless speed; one of the
       three.  `blow_above` needs a first design with stable sliding.  It has a kink where two
       masses have the same gentlest blow: change equal masses together.
@@ -148,7 +159,8 @@ def design(
 
     **Returns:** a `Design`.
 
-    **Raises:** `ValueError` for bad input.  `result` reports a search that does not converge.
+    **Raises:** `ValueError` for bad input.  **Warns** if the design is at an edge of the domain.
+    `result` reports a search that does not converge.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
@@ -194,10 +206,19 @@ def design(
             )
         units = jnp.broadcast_to(changes, flat.shape)
     hit = None if mass is None else (index,)
+    inside = ravel_pytree(margins(change(chain, unravel(flat))))[0] >= 0
     problem = _DesignProblem(
-        chain, flat, units, to_float(target), change, cost, index, hit, name, unravel
+        chain, flat, units, to_float(target), inside, change, cost, index, hit, name, unravel
     )
-    return _solve(problem, optimiser, steps, to_float(tolerance))
+    found = _solve(problem, optimiser, steps, to_float(tolerance))
+    if not is_traced(found) and any(found.at_edge.values()):
+        edges = ", ".join(f"`{name}`" for name, there in found.at_edge.items() if there)
+        warnings.warn(
+            f"The design is at the edge of the domain, {edges}: the target asks for values beyond "
+            "it. Change other numbers, too, or choose a target that is easier to reach.",
+            stacklevel=2,
+        )
+    return found
 
 
 class _DesignProblem(eqx.Module):
@@ -205,6 +226,7 @@ class _DesignProblem(eqx.Module):
     start: Float[Array, " m"]
     scale: Float[Array, " m"]
     target: Float[Array, ""]
+    edges: Bool[Array, " q"]  # that hold it back: not that of damping which is negative at first
     change: Callable[[Chain, Any], Chain]
     cost_function: Callable[[Any], Any] | None
     mass: int = eqx.field(static=True)
@@ -217,6 +239,10 @@ class _DesignProblem(eqx.Module):
 
     def chain_at(self, z: Array) -> Chain:
         return self.change(self.chain, self.unravel(self.theta(z)))
+
+    def margins(self, z: Array) -> Array:
+        """How far inside its domain each number is."""
+        return jnp.where(self.edges, ravel_pytree(margins(self.chain_at(z)))[0], 1.0)
 
     def point(self, z: Array) -> _DesignPoint:
         """The values at a design, with forward derivatives: the searches have no reverse mode."""
@@ -286,7 +312,9 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         best = where(good, trial, now.best)
         m = best.multiplier(now.held, penalty)
         _, slope = best.lagrangian(now.held, penalty)
-        missing, off = jnp.abs(m - now.held) / penalty, jnp.sqrt(jnp.sum(slope**2))
+        # Along the edges that are reached nothing is left to gain across them.
+        off, _ = stay_inside(problem.margins, best.z, -slope)
+        missing, off = jnp.abs(m - now.held) / penalty, jnp.sqrt(jnp.sum(off**2))
         # Early Lagrangians need no exact minimum.
         renew = good & (off <= jnp.maximum(0.3 * missing, 0.3 * tolerance))
         slow = renew & (missing > _ENOUGH * now.missing)
@@ -298,6 +326,13 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
         longest = jnp.max(jnp.abs(step))
         step = step * jnp.minimum(1.0, _LONGEST / jnp.where(longest > 0, longest, 1.0))
+        within, _ = stay_inside(problem.margins, best.z, step)
+        # An edge may turn a step of the optimiser uphill, but not one along the gradient.
+        steepest, _ = stay_inside(
+            problem.margins, best.z, -slope * jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(slope)))
+        )
+        turned = (jnp.sum(slope * step) < 0) & (jnp.sum(slope * within) >= 0)
+        step = jnp.where(turned, steepest, within)
         return _DesignSearch(
             best=best,
             step=jnp.where(good, step, now.step),
@@ -322,6 +357,10 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
                 infinite, infinite, nothing, nothing, path, record, record),
     )  # fmt: skip
     best = last.best
+    _, slope = best.lagrangian(last.held, last.penalty)
+    _, bent = stay_inside(problem.margins, best.z, -slope)
+    _, named = ravel_pytree(margins(problem.chain_at(best.z)))
+    at_edge = jax.tree.map(lambda edge: jnp.any(edge > 0), named(jnp.where(bent, 1.0, 0.0)))
     of = SearchResult
     result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
     result = of.where(jnp.isfinite(best.cost), result, of.nonfinite)
@@ -337,6 +376,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         residual=last.residual,
         result=result,
         evaluations=last.count,
+        at_edge=at_edge,
         path=jax.vmap(problem.unravel)(last.path),
         costs=last.costs,
         aims=last.aims,

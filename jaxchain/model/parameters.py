@@ -82,8 +82,9 @@ _ROWS = (
         remedy="it is a speed, such as 1.5.",
     ),
     Parameter(
-        "damping_ratio", "damping ratio", r"\xi", searched="nonnegative", required=True, usual=0.05,
+        "damping_ratio", "damping ratio", r"\xi", required=True, usual=0.05,
         meaning="One number, or one per mass.", remedy="it is a ratio, such as 0.05.",
+        searched="nonnegative",
     ),
     Parameter(
         "coupling", "coupling", r"\eta_c", sign="nonnegative", per="spring", usual=0.01,

@@ -6,8 +6,9 @@ import numpy as np
 import optax
 import pytest
 from jax import lax
+from scipy.optimize import minimize
 
-from jaxchain.continuation.gradient_descent import descend
+from jaxchain.continuation.gradient_descent import descend, stay_inside
 
 
 def test_plain_descent_on_a_parabola_halves_the_distance_in_every_step():
@@ -80,3 +81,32 @@ def test_it_stops_where_the_loss_is_not_finite_and_keeps_the_way_there():
 def test_bad_input_is_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         descend(lambda x: x**2, arguments.pop("start", 1.0), optax.sgd(0.1), **arguments)
+
+
+def test_a_step_across_edges_ends_at_the_nearest_point_that_scipy_finds():
+    rng = np.random.default_rng(0)
+    rows, start, step, root = (rng.standard_normal(s) for s in ((7, 3), (3,), (3,), (3, 3)))
+    first, metric = rng.uniform(0.0, 1.0, 7), root @ root.T + 0.1 * np.eye(3)
+    given = jnp.asarray(start), jnp.asarray(3 * step), jnp.asarray(metric)
+    found, bent = stay_inside(lambda x: rows @ (x - start) + first, *given)
+    other = minimize(
+        lambda d: 0.5 * (d - 3 * step) @ metric @ (d - 3 * step),
+        np.zeros(3),
+        constraints={"type": "ineq", "fun": lambda d: 0.9 * first + rows @ d},
+        method="SLSQP",
+        options={"ftol": 1e-14},
+    )
+    np.testing.assert_allclose(found, other.x, atol=1e-6)
+    reached = np.abs(0.9 * first + rows @ found) < 1e-9
+    assert 0 < reached.sum() < 7
+    np.testing.assert_array_equal(bent, reached)
+
+
+def test_a_curved_edge_and_one_that_the_start_is_on_are_not_crossed():
+    found, _ = stay_inside(lambda x: 1.0 - jnp.sum(x**2)[None], jnp.zeros(2), jnp.ones(2))
+    assert 0.0 < float(jnp.sum(found**2)) <= 1.0
+    descent = descend(lambda x: (x + 1.0) ** 2, 0.0, optax.sgd(0.25), 20, margins=lambda x: x)
+    assert float(jnp.min(descent.path)) >= 0.0
+    assert float(descent.solution) == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(ValueError, match=r"`margins\(start\)` must be zero or positive"):
+        descend(lambda x: x**2, -1.0, optax.sgd(0.25), margins=lambda x: x)

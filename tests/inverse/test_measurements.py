@@ -1,5 +1,7 @@
 """Signals against runs of the same chain; their periods, phases and likelihood."""
 
+import re
+import warnings
 from typing import Any
 
 import jax
@@ -266,3 +268,56 @@ def test_intervals_of_signals_hold_the_truth_as_often_as_they_promise(from_start
         held.append((low < true) & (true < high))
     print(np.sum(held, axis=0))
     assert np.all(np.sum(held, axis=0) >= 27)
+
+
+def sliding(values, noise=0.01):
+    """Displacements of a mass that slides steadily; of one shape, so that one fit is compiled."""
+    speeds = jnp.array([1.3, 1.5, 1.7, 2.5])
+    return Measurements(displacements=(speeds, values, noise))
+
+
+def of_sliding(chain, theta):
+    return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
+
+
+FALLING = 0.5 + 0.5 * np.exp(-np.array([1.3, 1.5, 1.7, 2.5]) / 0.5)
+ROUGH = FALLING + 0.01 * np.array([1.0, -0.5, -1.0, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("lab", "messages"),
+    [
+        (sliding(ROUGH), []),
+        (sliding(ROUGH - 0.6), ["leaves a chi", "edge of the domain, `mu_dynamic = 0`"]),
+        (sliding(ROUGH, noise=2e-4), ["contradict each other.* number 2"]),
+        (sliding(FALLING + 1e-3 * (ROUGH - FALLING)), ["noise is about 0.0011 times"]),
+    ],
+    ids=["right", "outside", "contradicting", "noise too great"],
+)
+def test_a_fit_warns_of_its_chi_squared_and_of_the_edge_of_the_domain(lab, messages):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = identify(ONE, of_sliding, jnp.array([0.45, 0.55]), lab)
+    texts = [str(warning.message) for warning in caught]
+    assert len(texts) == len(messages), texts
+    for text, message in zip(texts, messages, strict=True):
+        assert re.search(message, text), text
+    edges = {name for name, there in found.at_edge.items() if there}
+    assert edges == ({"mu_dynamic = 0"} if len(messages) == 2 else set())
+    of_sliding(ONE, found.theta)  # the constructor accepts it
+
+
+def test_a_start_that_makes_no_chain_is_refused():
+    with pytest.raises(ValueError, match=r"`start` makes no chain.*`mu_static`.*`mu_dynamic`"):
+        identify(ONE, of_sliding, jnp.array([1.2, 0.5]), sliding(ROUGH))
+
+
+def test_an_unknown_offset_is_the_weighted_mean_of_the_gaps():
+    noise = np.array([0.1, 0.1, 0.2])
+    record = Signal([0.0, 1.0, 2.0], [3.0, 4.0, 6.0], noise, offset="unknown")
+    gaps = np.array([3.0, 4.0, 6.0]) - 1.0
+    mean = np.average(gaps, weights=noise**-2.0)
+    assert record.shift(jnp.ones(3)) == pytest.approx(mean)
+    np.testing.assert_allclose(record.gaps(jnp.ones(3)), (gaps - mean) / noise)
+    with pytest.raises(ValueError, match='`offset` must be None or'):
+        Signal([0.0, 1.0], [1.0, 2.0], 0.1, offset=0.3)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 from jaxchain import (
     Chain,
@@ -18,6 +19,7 @@ from jaxchain import (
     paper_chain,
     steady_sliding,
 )
+from jaxchain.model.chain import margins
 from jaxchain.model.friction import AbstractFrictionLaw
 
 LAW = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
@@ -211,3 +213,37 @@ def test_dry_friction_may_differ_from_mass_to_mass():
         Chain(2, 0.5, 1.5)
     with pytest.raises(ValueError, match=r"`width` must be positive.*dry friction"):
         paper_chain(width=0.0)
+
+
+def test_margins_are_positive_where_the_constructor_accepts_the_numbers():
+    """Random numbers on both sides of every edge; damping alone is narrower in searches."""
+    names = ["mu_static", "mu_dynamic", "v_ref", "stiffness", "coupling", "normal_load", "width"]
+    chain = paper_chain(3, width=1e-2).with_(normal_load=jnp.ones(3))
+    rng, accepted = np.random.default_rng(0), 0
+    inside = jax.jit(lambda n: jnp.min(jnp.stack(
+        [jnp.min(m) for m in margins(chain.with_(**n)).values()])) >= 0)  # fmt: skip
+    for _ in range(200):
+        numbers = {name: np.where(rng.uniform() < 0.9, 1, -1) * rng.uniform() for name in names}
+        numbers["normal_load"] = rng.uniform(-0.1, 1.0, 3)
+        try:
+            chain.with_(**numbers)
+            refused = False
+        except ValueError:
+            refused = True
+        assert bool(inside(jax.tree.map(jnp.asarray, numbers))) != refused, numbers
+        accepted += not refused
+    assert 20 < accepted < 180
+    assert margins(chain.with_(damping_ratio=-0.1))["damping_ratio = 0"] < 0
+
+
+def test_the_margins_of_your_own_law_are_its_curve():
+    class Falling(AbstractFrictionLaw):
+        mu_static: Array
+        slope: Array
+
+        def coefficient(self, speed):
+            return self.mu_static - self.slope * jnp.tanh(speed)
+
+    own = Chain(1, Falling(jnp.asarray(1.0), jnp.asarray(0.5)), 1.0, 0.05)
+    least = jax.jit(lambda slope: jnp.min(margins(own.with_(slope=slope))["mu(s) = 0"]))
+    assert least(0.9) > 0 > least(1.1)
