@@ -37,6 +37,7 @@ from .measurements import (
     Measurements,
     Signal,
     Waveform,
+    at_edges,
     check_change,
     check_measurements,
     in_noise,
@@ -515,9 +516,7 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
     result = of.where(last.gain <= enough, of.successful, result)
     errors = jnp.where(determined, jnp.sqrt(jnp.diagonal(covariance)), jnp.inf)
     theta, chain = problem.at(last.z)
-    _, named = ravel_pytree(margins(chain))
     bent = bent & jnp.all(jnp.isfinite(last.residuals))
-    at_edge = jax.tree.map(lambda edge: jnp.any(edge > 0), named(jnp.where(bent, 1.0, 0.0)))
     fit = Identification(
         theta=theta,
         chain=chain,
@@ -531,7 +530,7 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         phase=last.z[-1] if problem.extra == 1 else jnp.asarray(jnp.nan),
         start=problem.start(last.z),
         offset=last.further[0],
-        at_edge=at_edge,
+        at_edge=at_edges(chain, bent),
         result=result,
         evaluations=last.count,
     )

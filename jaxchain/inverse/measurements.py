@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float
 from scipy.linalg import eigvalsh
 
@@ -30,7 +31,7 @@ from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..cycles.limit_cycle import LimitCycle, find_limit_cycle
 from ..model.arguments import as_state
-from ..model.chain import Chain, steady_sliding
+from ..model.chain import Chain, margins, steady_sliding
 from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
@@ -352,6 +353,12 @@ def check_change(change: Any, chain: Chain, theta: Any) -> None:
     except ValueError as error:
         raise ValueError(f"Argument `start` makes no chain. {error}") from error
     check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
+
+
+def at_edges(chain: Chain, bent: Bool[Array, " q"]) -> dict[str, Bool[Array, ""]]:
+    """For each edge of the domain whether it bends the last step of a search: see `margins`."""
+    _, named = ravel_pytree(margins(chain))
+    return jax.tree.map(lambda edge: jnp.any(edge > 0), named(jnp.where(bent, 1.0, 0.0)))
 
 
 def predict(

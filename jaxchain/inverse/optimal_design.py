@@ -30,7 +30,7 @@ from ..continuation.gradient_descent import check_descent, stay_inside, unknowns
 from ..model.chain import Chain, margins
 from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
-from .measurements import check_change
+from .measurements import at_edges, check_change
 
 # Longest step, in units of `scale`; the factor by which a rejected step shrinks, and how often.
 _LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
@@ -359,8 +359,6 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
     best = last.best
     _, slope = best.lagrangian(last.held, last.penalty)
     _, bent = stay_inside(problem.margins, best.z, -slope)
-    _, named = ravel_pytree(margins(problem.chain_at(best.z)))
-    at_edge = jax.tree.map(lambda edge: jnp.any(edge > 0), named(jnp.where(bent, 1.0, 0.0)))
     of = SearchResult
     result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
     result = of.where(jnp.isfinite(best.cost), result, of.nonfinite)
@@ -376,7 +374,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         residual=last.residual,
         result=result,
         evaluations=last.count,
-        at_edge=at_edge,
+        at_edge=at_edges(problem.chain_at(best.z), bent),
         path=jax.vmap(problem.unravel)(last.path),
         costs=last.costs,
         aims=last.aims,

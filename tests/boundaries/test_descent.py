@@ -58,6 +58,12 @@ def test_plain_gradient_descent_stalls_far_above_the_boundary_and_says_so():
     assert float(found.belt_speed) > 5.9
 
 
+def test_a_step_that_is_far_too_long_ends_at_a_positive_speed():
+    found = hopf_by_descent(paper_chain(1), 2.0, optax.sgd(2000.0), steps=3)
+    assert float(found.speeds[1]) == pytest.approx(0.2)  # a tenth is left; -1 without the edge
+    assert np.nanmin(found.speeds) > 0
+
+
 @pytest.mark.long
 def test_descent_of_mistuned_chains_goes_through_vmap():
     chain = paper_chain(3).with_(damping_ratio=jnp.array([0.04, 0.05, 0.07]))

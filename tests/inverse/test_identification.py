@@ -75,7 +75,8 @@ def test_amplitude_and_boundaries_do_not_feel_friction_that_is_the_same_at_every
 
 
 def test_exact_data_give_the_parameters_back():
-    exact = identify(ONE, change, START, measured(prediction(TRUE)))
+    with pytest.warns(UserWarning, match="leaves a chi\\^2 of only"):
+        exact = identify(ONE, change, START, measured(prediction(TRUE)))
     assert exact.successful
     np.testing.assert_allclose(exact.theta, TRUE, rtol=1e-6)
     assert float(exact.chi_squared) < 1e-8
@@ -241,7 +242,8 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
 def test_a_smoothed_model_of_dry_data_is_wrong_by_more_than_its_intervals_say():
     """At width 0.02 the bias of the model exceeds noise of 0.002, and chi^2 says so."""
     exact = measured(prediction(TRUE), noise=0.002)
-    found = identify(ONE.with_(width=0.02), change, TRUE, exact)
+    with pytest.warns(UserWarning, match="the measurements contradict each other or the model"):
+        found = identify(ONE.with_(width=0.02), change, TRUE, exact)
     assert found.successful
     distance = abs(found.theta - TRUE) / found.standard_errors
     assert float(distance.max()) > 4.0

@@ -201,7 +201,8 @@ def test_correlated_measurements_have_the_density_of_scipy_and_the_best_fit_of_g
     density: Any = stats.multivariate_normal  # the checker takes `cov` for an integer
     expected = density.logpdf(values, predict(ONE, lab), covariance)
     assert log_likelihood(ONE, lab) == pytest.approx(expected, rel=1e-12)
-    found = identify(ONE, change, jnp.array([0.5, 0.5]), lab)
+    with pytest.warns(UserWarning, match="contradict each other"):
+        found = identify(ONE, change, jnp.array([0.5, 0.5]), lab)
     # At the best fit J^T C^-1 (values - predicted) is 0, and (J^T C^-1 J)^-1 the covariance.
     slopes = jax.jacfwd(lambda theta: predict(change(ONE, theta), lab))(found.theta)
     gaps = values - np.asarray(predict(found.chain, lab))
@@ -319,5 +320,40 @@ def test_an_unknown_offset_is_the_weighted_mean_of_the_gaps():
     mean = np.average(gaps, weights=noise**-2.0)
     assert record.shift(jnp.ones(3)) == pytest.approx(mean)
     np.testing.assert_allclose(record.gaps(jnp.ones(3)), (gaps - mean) / noise)
-    with pytest.raises(ValueError, match='`offset` must be None or'):
+    with pytest.raises(ValueError, match="`offset` must be None or"):
         Signal([0.0, 1.0], [1.0, 2.0], 0.1, offset=0.3)
+
+
+RNG_TIMES = np.sort(np.random.default_rng(5).uniform(0.0, 100.0, 300))
+WRONG = {
+    "right": (lambda t, x, v: x, None),
+    "sign": (lambda t, x, v: -x, "sign reversed"),
+    "unit": (lambda t, x, v: 3 * x, "A factor of"),
+    "velocity": (lambda t, x, v: v, 'what="velocity"'),
+    "mean removed": (lambda t, x, v: x - x.mean(), 'offset="unknown"'),
+    "noise": (lambda t, x, v: np.random.default_rng(1).standard_normal(t.size), "are they noise"),
+}
+
+
+@pytest.mark.long
+def test_a_wrong_record_is_warned_of_with_the_reason_and_an_unknown_offset_is_found():
+    def law(chain, theta):
+        return chain.with_(mu_dynamic=theta[0], damping_ratio=theta[1], v_ref=theta[2])
+
+    true, start = np.array([0.5, 0.05, 0.5]), jnp.array([0.55, 0.045, 0.45])
+    chain, draws = paper_chain(1, belt_speed=0.8, width=None), np.random.default_rng(2)
+    blanks = [Signal(RNG_TIMES, 0 * RNG_TIMES, 1.0, what) for what in ("displacement", "velocity")]
+    x, v = (np.asarray(predict(chain, blank, phase=0.3)) for blank in blanks)
+    x, v = (y + 0.01 * draws.standard_normal(300) for y in (x, v))
+    for name, (wrong, reason) in WRONG.items():
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found = identify(chain, law, start, Signal(RNG_TIMES, wrong(RNG_TIMES, x, v), 0.01))
+        texts = " ".join(str(warning.message) for warning in caught)
+        assert (reason in texts) if reason else not texts, (name, texts)
+        law(chain, found.theta)  # the constructor accepts it
+        assert found.theta[1] >= 0
+    record = Signal(RNG_TIMES, x - x.mean(), 0.01, offset="unknown")
+    found = identify(chain, law, start, record)
+    assert np.all(np.abs(found.theta - true) < 4 * found.standard_errors)
+    assert found.offset == pytest.approx(-x.mean(), abs=0.01)

@@ -137,6 +137,19 @@ def test_vibration_that_seems_to_set_in_gently_is_no_proof_of_no_fold():
     assert "not a proof" in gentle.message
 
 
+def test_a_design_stays_where_static_friction_exceeds_dynamic_friction_and_says_so():
+    def weaker(chain, mu):
+        return chain.with_(mu_static=mu)
+
+    with pytest.warns(UserWarning, match="edge of the domain, `mu_static = mu_dynamic`"):
+        found = design(ONE, weaker, 1.0, highest_below=1.7, cost=lambda mu: mu**2)
+    assert found.successful
+    assert float(found.theta) == pytest.approx(0.5, abs=1e-5)
+    assert bool(found.at_edge["mu_static = mu_dynamic"])
+    assert float(jnp.nanmin(found.path)) >= 0.5
+    weaker(ONE, found.theta)  # the constructor accepts it
+
+
 def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
     found = design(ONE, change, jnp.array([0.0, 0.5]), width_below=0.3, scale=START)
     assert not found.successful
