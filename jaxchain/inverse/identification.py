@@ -213,7 +213,7 @@ class _FitProblem(eqx.Module):
     place: int | None = eqx.field(static=True, default=None)
     value: Array | None = None
     # Edges that hold a search back: not that of damping which is negative at the start.
-    edges: Bool[Array, " q"] | None = None
+    edges: Any = None
 
     def with_edges(self, theta: Array) -> _FitProblem:
         """The problem with the edges that the first theta is inside of."""
