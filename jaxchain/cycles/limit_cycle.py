@@ -85,7 +85,9 @@ from .variational import Along, Period, Returned, Returns
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
 _PEAKS = 12  # the number of velocity maxima to examine
-_MOST_STEPS = 20_000  # of a dry run over a period: a search may try absurd periods and laws
+# The most steps of a dry run over a period, and of one to find a guess, each plus some for each
+# mass: a search may try absurd periods and laws.  Usual ones take some 15 per unit of time.
+_PERIOD_STEPS, _GUESS_STEPS, _STEPS_PER_TIME, _STEPS_PER_MASS = 4_000, 40_000, 150.0, 400
 _MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
 _ROUNDING = 1e-9  # of the number of periods in a run
 
@@ -96,7 +98,12 @@ def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> A
     if isinstance(chain, Chain) and not chain.dry:
         rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(chain.width)), 1e-11, 1e-7)
     solver = custom_solver(chain, None) or choose_solver(chain, 1e-8, state=state)
-    run = simulate(chain, state, t1, observe=watch, solver=solver, rtol=rtol, throw=False)
+    most = None
+    if chain.dry and not is_traced(t1):
+        most = max(_GUESS_STEPS, int(_STEPS_PER_TIME * float(t1)))
+        most += 10 * _STEPS_PER_MASS * state[0].size
+    how: Any = {"solver": solver, "rtol": rtol, "max_steps": most, "throw": False}
+    run = simulate(chain, state, t1, observe=watch, **how)
     return lax.stop_gradient(run.observed)
 
 
@@ -458,7 +465,7 @@ class _States(eqx.Module):
             observe=observe,
             solver=self.solver,
             rtol=self.rtol,
-            max_steps=_MOST_STEPS,
+            max_steps=_PERIOD_STEPS + _STEPS_PER_MASS * state[0].size,
             throw=False,
         )
 

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 from jax import lax
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 from scipy.special import chdtr, chdtrc
 
@@ -30,18 +29,20 @@ from .._final import final
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, stay_inside, unknowns
 from ..model.arguments import as_state
-from ..model.chain import Chain, margins
+from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..result import Outcome, Printed, SearchResult
 from .measurements import (
     Measurements,
     Signal,
     Waveform,
+    above_floor,
     at_edges,
     check_change,
     check_measurements,
     in_noise,
     predict,
+    search_floor,
 )
 
 # Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
@@ -155,7 +156,8 @@ def identify(
 
     **Arguments:** `chain` with all other numbers; `change(chain, theta)`, the chain for theta;
     `start`, the first theta, any pytree: its chain must vibrate where vibrations were measured.
-    The search stays where `Chain` and its law accept the numbers and damping is not negative;
+    The search stays where `Chain` and its law accept the numbers and damping is not negative, and
+    a number that must be positive keeps a hundredth of its first value;
     `measurements`: `Measurements`, or a `Signal`, of which first the shape of the cycle is fitted
     and then every value; or, if it has a `start`, first the beginning, and then more and more of
     it, so that phases are followed; `mass` as in `predict`; `starts`: how many starts are tried at
@@ -191,7 +193,7 @@ def identify(
     flat, unravel = unknowns(start)
     check_change(change, chain, unravel(flat))
     problem = _FitProblem(chain, measurements, change, mass, unravel)
-    problem = problem.with_edges(flat)
+    problem = problem.with_floor(flat)
     draws = np.random.default_rng(0).standard_normal((starts, flat.size))
     draws[0] = 0.0
     fit, hints = _best_fit(problem, flat, _SPREAD * jnp.asarray(draws) * flat[None, :], steps)
@@ -212,17 +214,15 @@ class _FitProblem(eqx.Module):
     # A number of theta that is not fitted: its place and value.
     place: int | None = eqx.field(static=True, default=None)
     value: Array | None = None
-    # Edges that hold a search back: not that of damping which is negative at the start.
-    edges: Any = None
+    floor: Any = None  # see `search_floor`
 
-    def with_edges(self, theta: Array) -> _FitProblem:
-        """The problem with the edges that the first theta is inside of."""
-        inside = ravel_pytree(margins(self.change(self.chain, self.unravel(theta))))[0] >= 0
-        return eqx.tree_at(lambda p: p.edges, self, inside, is_leaf=lambda leaf: leaf is None)
+    def with_floor(self, theta: Array) -> _FitProblem:
+        """The problem of a search that begins at this theta."""
+        return replace(self, floor=search_floor(self.change(self.chain, self.unravel(theta))))
 
     def margins(self, z: Array) -> Float[Array, " q"]:
         """How far inside its domain each number is."""
-        return jnp.where(self.edges, ravel_pytree(margins(self.at(z)[1]))[0], 1.0)
+        return above_floor(self.at(z)[1], self.floor)
 
     @property
     def extra(self) -> int:
@@ -362,7 +362,7 @@ def profile(
             f"Argument `place` = {place} must be that of a number that the data determine, but "
             "others can compensate it: fix one of them."
         )
-    problem = _FitProblem(chain, measurements, change, mass, unravel).with_edges(flat)
+    problem = _FitProblem(chain, measurements, change, mass, unravel).with_floor(flat)
     problem = replace(problem, place=int(place))
     return _profile(problem, found, flat, to_float(reach), points, to_float(confidence), steps)
 

@@ -33,6 +33,7 @@ from ..cycles.limit_cycle import LimitCycle, find_limit_cycle
 from ..model.arguments import as_state
 from ..model.chain import Chain, margins, steady_sliding
 from ..model.initial_states import check_mass, on_the_belt
+from ..model.parameters import parameter
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
 from ..observers.samples import Trajectory
@@ -54,6 +55,8 @@ _PHASES, _PHASE_STEPS, _MOST_HARMONICS = 128, 4, 32
 _ROUNDING = 1e-9
 # Nodes of the interpolation of a dry cycle while it slips and sticks.
 _NODES = 129, 17
+# The share of its first value that a positive number keeps in a search.
+_LEAST_SHARE = 0.01
 # Steps of a run, some 5,000 periods: a search may try laws for which they are very small.
 _MOST_STEPS = 500_000
 # How close to the speed of the belt a mass that sticks is.
@@ -353,6 +356,26 @@ def check_change(change: Any, chain: Chain, theta: Any) -> None:
     except ValueError as error:
         raise ValueError(f"Argument `start` makes no chain. {error}") from error
     check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
+
+
+def search_floor(chain: Chain) -> Float[Array, " q"]:
+    """What the margins of a search that begins at `chain` stay above, -inf where it is outside.
+
+    Of a number that must be positive it is a share of the first one: next to 0 laws are stiff.
+    """
+    first = margins(chain)
+    shares = {
+        edge: _LEAST_SHARE if parameter(edge.partition(" = ")[0]).sign == "positive" else 0.0
+        for edge in first
+    }
+    floor = jax.tree.map(lambda m, share: jnp.where(m < 0, -jnp.inf, share * m), first, shares)
+    return ravel_pytree(floor)[0]
+
+
+def above_floor(chain: Chain, floor: Float[Array, " q"]) -> Float[Array, " q"]:
+    """The margins of a search, at least 0 inside: see `search_floor`."""
+    finite = jnp.isfinite(floor)
+    return jnp.where(finite, ravel_pytree(margins(chain))[0] - jnp.where(finite, floor, 0.0), 1.0)
 
 
 def at_edges(chain: Chain, bent: Bool[Array, " q"]) -> dict[str, Bool[Array, ""]]:

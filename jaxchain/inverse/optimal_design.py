@@ -27,10 +27,10 @@ from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.ranges import StabilityRange, stability_range
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent, stay_inside, unknowns
-from ..model.chain import Chain, margins
+from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
-from .measurements import at_edges, check_change
+from .measurements import above_floor, at_edges, check_change, search_floor
 
 # Longest step, in units of `scale`; the factor by which a rejected step shrinks, and how often.
 _LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
@@ -140,7 +140,8 @@ def design(
     one compiled loop, which evaluates one boundary, or blow, with its derivatives per round.  A
     design without vibration meets the target.  A step is shortened if its boundary or blow is not
     found, or if steady sliding is unstable where a blow is the target.  Steps stay where `Chain`
-    and its law accept the numbers, and damping is not negative.
+    and its law accept the numbers and damping is not negative, and a number that must be positive
+    keeps a hundredth of its first value.
 
     **Arguments:**
 
@@ -206,9 +207,9 @@ def design(
             )
         units = jnp.broadcast_to(changes, flat.shape)
     hit = None if mass is None else (index,)
-    inside = ravel_pytree(margins(change(chain, unravel(flat))))[0] >= 0
+    floor = search_floor(change(chain, unravel(flat)))
     problem = _DesignProblem(
-        chain, flat, units, to_float(target), inside, change, cost, index, hit, name, unravel
+        chain, flat, units, to_float(target), floor, change, cost, index, hit, name, unravel
     )
     found = _solve(problem, optimiser, steps, to_float(tolerance))
     if not is_traced(found) and any(found.at_edge.values()):
@@ -226,7 +227,7 @@ class _DesignProblem(eqx.Module):
     start: Float[Array, " m"]
     scale: Float[Array, " m"]
     target: Float[Array, ""]
-    edges: Bool[Array, " q"]  # that hold it back: not that of damping which is negative at first
+    floor: Float[Array, " q"]  # see `search_floor`
     change: Callable[[Chain, Any], Chain]
     cost_function: Callable[[Any], Any] | None
     mass: int = eqx.field(static=True)
@@ -242,7 +243,7 @@ class _DesignProblem(eqx.Module):
 
     def margins(self, z: Array) -> Array:
         """How far inside its domain each number is."""
-        return jnp.where(self.edges, ravel_pytree(margins(self.chain_at(z)))[0], 1.0)
+        return above_floor(self.chain_at(z), self.floor)
 
     def point(self, z: Array) -> _DesignPoint:
         """The values at a design, with forward derivatives: the searches have no reverse mode."""
