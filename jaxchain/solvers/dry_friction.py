@@ -296,7 +296,7 @@ def _next_knot(chain: Dry, series: Series, modes: Modes, length: Array) -> Array
 
 
 def _piece(law: Any, w: Array) -> tuple[Array, Array, Array] | None:
-    """(knot below |w|, knot above, offset of the friction series); None for a law without knots."""
+    """(knot below |w|, knot above, offset of the friction series); None without knots."""
     knots = jnp.asarray(() if law.knots is None else law.knots, float)
     if knots.size == 0:
         return None
