@@ -43,6 +43,7 @@ from ..solvers.dry_friction import (
     Series,
     after,
     expand,
+    free_as_chosen,
     friction_at_rest,
     friction_coefficient,
     motion,
@@ -385,7 +386,8 @@ class EventDrivenPlan(AbstractPlan):
         # h / (p + 1) times the difference from the rate at the end is the error of the step, and
         # far greater if the series at its start does not know what follows.
         mu, known = friction_coefficient(field, state[place], new.direction, series.w[0])
-        right = rates(field, free, mu, modes.direction)
+        chosen = free_as_chosen(field, series, t1, state, free)
+        right = rates(field, chosen, mu, modes.direction)
         defect = _greatest([a - b for a, b in zip(slopes, right, strict=True)], per_scale)
         accepted = frozen(materialize(length * defect <= _BEARABLE * (self.order + 1)))
         # NaN if any is NaN.

@@ -30,15 +30,22 @@ from .._types import PerMass, State
 from ..model.chain import Chain
 from ..model.friction import spread_friction
 from ..model.mechanical import MechanicalCells
-from .taylor import CLEARANCE, PowerSeries, composed, evaluated, first_exit
+from .taylor import (
+    CLEARANCE,
+    FAR,
+    Choices,
+    PowerSeries,
+    as_chosen,
+    composed,
+    evaluated,
+    first_exit,
+)
 
 Dry: TypeAlias = Chain | MechanicalCells
 
 STICK, FORWARD, BACKWARD = 0.0, 1.0, -1.0
 # Shares of the natural scale below which a speed or a force is rounding.
 RESOLUTION = 1e-13
-# No edge on this side.
-_FAR = 1e100
 # Sticking friction exceeds p mu_st by this share, so that a mass that starts to stick exactly at
 # the limit is not released by rounding.
 _SLACK = 1e-13
@@ -106,12 +113,17 @@ class Series(eqx.Module):
     """Taylor coefficients about the present time: lists of arrays of shape (n,).
 
     `x` and `v`: one list for each displacement and its velocity; `w` and `r`: of the contact.
+    `bands`: (coefficients, lower, upper) of what must stay in its band, as forces choose between
+    cases; `after`: the arguments of the forces by which they chose, None if the bands do not cover
+    every choice.
     """
 
     x: list[list[Array]]
     v: list[list[Array]]
     w: list[Array]
     r: list[Array]
+    bands: list[tuple[list[Array], Array, Array]]
+    after: list[Array] | None
 
 
 def friction_coefficient(
@@ -150,7 +162,8 @@ def expand(
     w = flatten(v[u][0] - spread(chain.belt_speed, direction))
     speed = [direction * w]
     friction = composed(law.coefficient, speed, piecewise=law.knots is not None, known=known)
-    free = _free_series(chain, t, x, v)
+    choices = Choices()
+    free = _free_series(chain, t, x, v, choices)
     # b direction p, so that a coefficient depends on arrays of the same shape alone.
     push = [None if s is None else spread(s * direction * load, direction) for s in b]
     r: list[Array] = []
@@ -174,10 +187,45 @@ def expand(
             x[i].append(v[i][k] / (k + 1))
             v[i].append(flatten(change))
         speed.append(direction * v[u][k + 1])
-    return Series(x, v, [w, *v[u][1:]], r)
+    bands = [part for band in choices.bands for part in _per_mass(*band, order, direction)]
+    chosen = choices.after if choices.bands and choices.complete else None
+    return Series(x, v, [w, *v[u][1:]], r, bands, chosen)
 
 
-def _free_series(chain: Dry, t: Any, x: list, v: list) -> Callable[[int], tuple[Array, ...]]:
+def _per_mass(
+    q: PowerSeries, lower: Any, upper: Any, offset: Any, order: int, like: Array
+) -> list[tuple[list[Array], Array, Array]]:
+    """A band of a force as bands of shape (n,), which end just beyond the given edges."""
+    shape = jnp.broadcast_shapes(jnp.shape(q[0]), like.shape)
+    coefficients = [jnp.broadcast_to(q[k], shape).reshape(-1, like.size) for k in range(order + 1)]
+    low, high = (
+        jnp.broadcast_to(edge, shape).reshape(-1, like.size)
+        for edge in (lower - offset, upper + offset)
+    )
+    return [([c[i] for c in coefficients], low[i], high[i]) for i in range(len(low))]
+
+
+def free_as_chosen(
+    chain: Dry, series: Series, t: Any, state: State, free: Sequence[Array]
+) -> Sequence[Array]:
+    """`free`, the accelerations without friction, in the cases that a series holds for."""
+    if series.after is None or not isinstance(chain, MechanicalCells):
+        return free
+    left, right = chain.neighbours(state)
+    values = [jnp.asarray(t, float), *left, *state, *right]
+    return as_chosen(_free_rate(chain, len(state)), values, series.after)
+
+
+def _free_rate(cells: MechanicalCells, m: int) -> Callable[..., tuple[Array, ...]]:
+    def rate(t: Any, *y: Any) -> tuple[Array, ...]:
+        return cells.free_acceleration(t, y[:m], y[m : 2 * m], y[2 * m :])
+
+    return rate
+
+
+def _free_series(
+    chain: Dry, t: Any, x: list, v: list, choices: Choices
+) -> Callable[[int], tuple[Array, ...]]:
     """The coefficients of the accelerations without friction, from those of x and v."""
     if isinstance(chain, MechanicalCells):
         cells = chain
@@ -187,18 +235,18 @@ def _free_series(chain: Dry, t: Any, x: list, v: list) -> Callable[[int], tuple[
             [PowerSeries(lambda k, s=s, i=i: cells.neighbours((s[k],))[i][0]) for s in own]
             for i in (0, 1)
         ]
-        m = len(own)
-
-        def rate(t: Any, *y: Any) -> tuple[Array, ...]:
-            return cells.free_acceleration(t, y[:m], y[m : 2 * m], y[2 * m :])
-
         clock = PowerSeries(lambda k: jnp.asarray(time[k] if k < 2 else 0.0, float))
         # Displacements go the way of the velocities; accelerations are not known yet.
         rates = tuple(s[0] for s in v)
         before, after = cells.neighbours(rates)
         unknown = (1.0,) * len(v)
         slopes = (1.0, *before, *unknown, *rates, *unknown, *after, *unknown)
-        series = composed(rate, clock, *sides[0], *own, *sides[1], slopes=slopes)
+        series = composed(
+            _free_rate(cells, len(own)),
+            *(clock, *sides[0], *own, *sides[1]),
+            slopes=slopes,
+            choices=choices,
+        )
         return lambda k: tuple(part[k] for part in series)
     springs, n = chain.springs, x[0][0].shape[0]
     damping, stiffness = 2.0 * chain.damping_ratio, chain.stiffness_diagonal(n)
@@ -253,10 +301,17 @@ def after(
 def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
     """(time for which all masses keep their modes, which of them have an event then).
 
-    It ends without an event where a mass slides past a knot of the friction law, because another
-    series begins there.
+    It ends without an event where a mass slides past a knot of the friction law, or a force
+    chooses another case, because another series begins there.
     """
     length = jnp.minimum(length, _next_knot(chain, series, modes, length))
+    if series.bands:
+        coefficients, lower, upper = zip(*series.bands, strict=True)
+        together = [jnp.concatenate(parts) for parts in zip(*coefficients, strict=True)]
+        size = 1.0 + jnp.abs(together[0])
+        edges = jnp.concatenate(lower), jnp.concatenate(upper)
+        until, _ = first_exit(together, *edges, length, RESOLUTION * size)
+        length = jnp.minimum(length, until)
     direction, contact = modes.direction, modes.contact
     slides = direction != STICK
     w = series.w
@@ -272,7 +327,7 @@ def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple
     return first_exit(
         watched,
         flatten(jnp.where(slides, 0.0, -hold)),
-        flatten(jnp.where(slides, _FAR, hold)),
+        flatten(jnp.where(slides, FAR, hold)),
         length,
         RESOLUTION * jnp.where(slides, speed, 1.0 + hold),
     )
@@ -289,8 +344,8 @@ def _next_knot(chain: Dry, series: Series, modes: Modes, length: Array) -> Array
     below, above, ahead = piece
     w = [jnp.abs(series.w[0]), *(modes.direction * v for v in series.w[1:])]
     slides = modes.direction != STICK
-    lower = jnp.where(slides, below - 2.0 * ahead, -_FAR)
-    upper = jnp.where(slides, above + 2.0 * ahead, _FAR)
+    lower = jnp.where(slides, below - 2.0 * ahead, -FAR)
+    upper = jnp.where(slides, above + 2.0 * ahead, FAR)
     until, _ = first_exit(w, lower, upper, length, RESOLUTION * (1.0 + w[0]))
     return until
 
@@ -302,7 +357,7 @@ def _piece(law: Any, w: Array) -> tuple[Array, Array, Array] | None:
         return None
     ahead = CLEARANCE * (1.0 + jnp.abs(w))
     knots = jnp.broadcast_to(knots if knots.ndim == 2 else knots[:, None], (len(knots), w.size))
-    far = jnp.full((1, w.size), _FAR)
+    far = jnp.full((1, w.size), FAR)
     edges = jnp.concatenate([-far, knots, far])
     index = jnp.sum((jnp.abs(w) + ahead)[None] >= knots, axis=0, keepdims=True)
     below, above = (jnp.take_along_axis(edges, index + i, axis=0)[0] for i in (0, 1))

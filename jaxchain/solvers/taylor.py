@@ -40,6 +40,7 @@ def composed(
     piecewise: bool = False,
     known: Sequence[Any] = (),
     slopes: Sequence[Any] | None = None,
+    choices: Choices | None = None,
 ) -> Any:
     """The series of function(s(t)), or of function(s(t), ...) of several arguments.
 
@@ -50,7 +51,7 @@ def composed(
     force always may.  It then chooses by s_0 for all orders, or just after s_0 where the cases
     meet; the caller must limit the range in which this holds.  `slopes`: of each argument a number
     with the sign of its rate, where that is known; without it, just after s_0 is just above it.
-    `known`: what `evaluated` found at s_0; it is computed if missing.
+    `known`: what `evaluated` found at s_0; it is computed if missing.  `choices` is filled.
 
     **Returns:** a `PowerSeries`, or a tuple of them.  JAX's Taylor mode expands an operation that
     is not known here; it repeats all lower orders for every order.
@@ -71,7 +72,9 @@ def composed(
         a + jnp.where(jnp.less(slope, 0.0), -CLEARANCE, CLEARANCE) * (1.0 + jnp.abs(a))
         for a, slope in zip(first, slopes or [1.0] * len(first), strict=True)
     ]
-    results = _Expansion(piecewise, series, known).of(traced, series, after)
+    if choices is not None:
+        choices.after = after
+    results = _Expansion(piecewise, series, known, choices).of(traced, series, after)
     results = [r if isinstance(r, PowerSeries) else _constant(r) for r in results]
     return tuple(results) if isinstance(shape, tuple) else results[0]
 
@@ -91,6 +94,28 @@ def evaluated(function: Callable[[Array], Array], s: Array) -> tuple[Array, list
     return _at(result, 0), expansion.costly
 
 
+class Choices:
+    """The cases that a force chose for a series.
+
+    `bands`: (series, lower, upper, offset), each in its band as long as the case holds; the
+    arguments just after s_0 lie beyond an edge if they are twice the `offset` beyond it.
+    `complete`: whether all choices have a band, as all but searches in tables have.  `after`: the
+    arguments just after s_0, by which was chosen.
+    """
+
+    def __init__(self):
+        self.bands: list[tuple[PowerSeries, Any, Any, Any]] = []
+        self.complete = True
+        self.after: list[Any] = []
+
+
+def as_chosen(function: Callable[..., Any], values: Sequence[Any], after: Sequence[Any]) -> Any:
+    """function(*values) in the cases that were chosen by the arguments `after`."""
+    series = [PowerSeries(lambda k, s=s: s if k == 0 else jnp.zeros_like(s)) for s in values]
+    traced = jax.make_jaxpr(function)(*values)
+    return tuple(_at(r, 0) for r in _Expansion(True, series).of(traced, series, after))
+
+
 # Cases are distinguished at this distance from s_0, relative to 1 + s_0.
 CLEARANCE = 1e-12
 
@@ -102,8 +127,13 @@ class _Expansion:
     """
 
     def __init__(
-        self, piecewise: bool, arguments: Sequence[PowerSeries], known: Sequence[Any] = ()
+        self,
+        piecewise: bool,
+        arguments: Sequence[PowerSeries],
+        known: Sequence[Any] = (),
+        choices: Choices | None = None,
     ):
+        self.choices = choices or Choices()
         self.arguments, self.alone = arguments, len(arguments) == 1
         self.piecewise = piecewise or not self.alone
         self.known = iter(known)
@@ -150,6 +180,8 @@ class _Expansion:
                 "the speeds > 0 at which it does, or `knots = ()` if mu is smooth all the same."
             )
         after = _values(step, here)
+        if decides or name in _CHOICES or name in _EXTREMES:
+            self._bound(name, series, here)
         if decides:
             return [(value, value) for value in after]
         if name == "select_n":
@@ -171,6 +203,22 @@ class _Expansion:
         else:
             results = _by_jet(step, series, "friction law" if self.alone else "force")
         return list(zip(results, after, strict=True))
+
+    def _bound(self, name: str, series: list[Any], here: list[Any]) -> None:
+        """Adds the bands in which a choice holds."""
+        found = _BANDS[name](*zip(series, here, strict=True)) if name in _BANDS else None
+        if found is None:
+            self.choices.complete = False
+        for q, now, width in found or ():
+            if not isinstance(q, PowerSeries):
+                continue
+            offset = jnp.abs(now - q[0]) + 0.1 * CLEARANCE * (1.0 + jnp.abs(now))
+            if width is None:
+                lower, upper = jnp.where(now < 0.0, -FAR, 0.0), jnp.where(now < 0.0, 0.0, FAR)
+            else:
+                lower = jnp.floor(now / width) * width
+                upper = lower + width
+            self.choices.bands.append((q, lower, upper, 2.0 * offset))
 
 
 def _by_jet(step: Any, operands: Sequence[Any], what: str) -> list[PowerSeries]:
@@ -433,6 +481,38 @@ _LINEAR = {
 _BILINEAR = {"mul", "dot_general"}
 # Piecewise constant, like everything that is not a real number.
 _STEPS = {"sign", "floor", "ceil", "round"}
+# No edge on this side.
+FAR = 1e100
+
+
+def _difference(a: tuple[Any, Any], b: tuple[Any, Any]) -> tuple[Any, Any]:
+    """a - b as a series, and just after s_0."""
+    (one, one_after), (other, other_after) = a, b
+    moves = isinstance(one, PowerSeries) or isinstance(other, PowerSeries)
+    q = PowerSeries(lambda k: _at(one, k) - _at(other, k)) if moves else 0.0
+    return q, one_after - other_after
+
+
+def _compared(a: Any, b: Any) -> list[Any]:
+    return [(*_difference(a, b), None)]
+
+
+def _multiples(a: Any, b: Any) -> list[Any] | None:
+    return None if isinstance(b[0], PowerSeries) else [(*a, jnp.abs(b[1]))]
+
+
+# Of the operands, each as a series and just after s_0: the quantities that keep their sign, or
+# stay between two multiples of a width, as long as the choice holds.  None if that is not known.
+_BANDS: dict[str, Callable[..., list[Any] | None]] = {
+    **dict.fromkeys(("lt", "le", "gt", "ge", "eq", "ne", "max", "min"), _compared),
+    **dict.fromkeys(("abs", "sign"), lambda a: [(*a, None)]),
+    # Of a conversion, to a whole number.
+    **dict.fromkeys(("floor", "ceil", "convert_element_type"), lambda a: [(*a, 1.0)]),
+    "round": lambda a: [(*_difference(a, (0.5, 0.5)), 1.0)],
+    "clamp": lambda low, a, high: [*_compared(a, low), *_compared(a, high)],
+    "rem": _multiples,
+    "is_finite": lambda a: [],
+}
 # The greatest or least of an array, which is chosen, too, but by JAX's Taylor mode.
 _EXTREMES = {"reduce_max", "reduce_min", "cummax", "cummin"}
 # Functions of JAX that choose between cases only to be accurate: in each case they are the same
