@@ -222,7 +222,7 @@ class Outcome(Printed, eqx.Module):
     def __check_init__(self) -> None:
         numbers = {
             field.name: getattr(self, field.name)
-            for field in fields(self)  # pyright: ignore[reportArgumentType]
+            for field in fields(self)
             if field.name not in self.may_be_missing and not field.metadata.get("static")
         }
         ended, nonfinite = code(self.result), code(SearchResult.nonfinite)
