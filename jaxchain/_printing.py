@@ -143,21 +143,20 @@ def value_text(value: Any, error: Any = None) -> str:
     return _number_text(np.asarray(value), error)
 
 
-def _number_text(array: np.ndarray | np.generic, error: Any) -> str:
+def _number_text(array: Any, error: Any) -> str:
     """The text of an array or of one number."""
-    known = error is not None and not isinstance(error, Tracer)
+    bars = np.nan if error is None or isinstance(error, Tracer) else error
     if array.ndim:
         present = array[~np.isnan(array)] if array.dtype.kind in "fc" else array
         if array.size <= _FEW:
-            same = known and np.shape(error) == array.shape
-            errors = np.asarray(error) if same else [None] * len(array)
+            errors = np.asarray(bars) if np.shape(bars) == array.shape else [None] * len(array)
             return f"[{', '.join(map(_number_text, array, errors))}]"
         if array.dtype.kind not in "bif":
             return f"shape {array.shape}"
         if not present.size:
             return ""
         return f"{present.min():.6g} ... {present.max():.6g}, shape {array.shape}"
-    if not known or np.ndim(error) or not 0 < (bar := float(error)) < np.inf:
+    if np.ndim(bars) or not 0 < (bar := float(bars)) < np.inf:
         return f"{array:.10g}" if array.dtype.kind in "fc" else str(array)
     decimals = max(0, -math.floor(math.log10(bar)))
     return f"{array:.{min(decimals, 15)}f} ± {bar:.1g}"
