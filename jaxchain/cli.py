@@ -74,7 +74,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         try:
             options = _parser().parse_args(arguments, argparse.Namespace(arguments=arguments))
-            return options.command(options) or 0
+            with _interruptible():
+                return options.command(options) or 0
         finally:  # also after --help, which exits
             sys.stdout.flush()
     except BrokenPipeError:  # the output is closed: Python must not flush at exit
@@ -86,6 +87,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (SceneError, _MisusedError) as error:
         _complain(str(error))
         return 2
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raises `KeyboardInterrupt` on Ctrl-C, also where JAX turns it into another error.
+
+    JAX does so while it compares static arguments, with the traceback in the message.
+    """
+    try:
+        yield
+    except Exception as error:
+        if "KeyboardInterrupt" in str(error):
+            raise KeyboardInterrupt from None
+        raise
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -286,7 +301,7 @@ def _filled(
 
     folder, status = None, 1
     try:
-        with _client(options) as client, claim as folder:
+        with _client(options) as client, claim as folder, _interruptible():
             call(folder, client)
         status = 0
     except KeyboardInterrupt:

@@ -539,6 +539,23 @@ def test_status_shows_the_progress_of_a_store(workplace, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out) == {"stores": [status]}
 
 
+def test_ctrl_c_that_jax_turns_into_another_error_is_an_interruption(
+    workplace, made_up_sweep, monkeypatch, capsys
+):
+    whole = running.sweep
+
+    def stopped(chain, *arguments, **options):
+        if chain.n == 3:
+            raise ValueError("static arguments should be comparable. KeyboardInterrupt: ")
+        return whole(chain, *arguments, **options)
+
+    monkeypatch.setattr(running, "sweep", stopped)
+    assert main(["run", "two.toml", "--no-plot", "--quiet"]) == 130
+    first, last = capsys.readouterr().err.splitlines()
+    assert first == "jaxchain: interrupted"
+    assert last.endswith("`jaxchain resume results/two` goes on with it")
+
+
 def test_status_shows_a_run_without_stores(workplace, made_up_sweep, monkeypatch, capsys):
     whole = running.sweep
 

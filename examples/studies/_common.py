@@ -47,9 +47,12 @@ def options(program, question):
 
 def ended(kind, error, trace):
     """Ends the program; after Ctrl-C, also within a sweep, with one line and status 130."""
-    if not issubclass(kind, KeyboardInterrupt):
+    if issubclass(kind, KeyboardInterrupt):
+        print(f"interrupted. {error}", file=sys.stderr)
+    elif "KeyboardInterrupt" in str(error):  # JAX turns some into other errors
+        print("interrupted", file=sys.stderr)
+    else:
         return sys.__excepthook__(kind, error, trace)
-    print(f"interrupted. {error}", file=sys.stderr)
     raise SystemExit(130)
 
 
