@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from witnesses import numbers, numbers_of
+from scipy.optimize import brentq
+from witnesses import numbers, numbers_of, one_mass
 from witnesses.event_driven import integrate, vibrating_cycle
 
 from jaxchain import (
@@ -31,6 +32,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
+from jaxchain.model import MechanicalCells
 from jaxchain.model.friction import AbstractFrictionLaw, GaussianStribeck
 
 
@@ -568,3 +570,105 @@ def test_an_event_of_one_mass_moves_the_velocities_of_others_by_their_rates():
     run, slope = jax.jit(end), jax.jit(jax.jacfwd(end))(1.0)
     differences = (run(1.0 + 1e-6) - run(1.0 - 1e-6)) / 2e-6
     np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-6)
+
+
+class Steep(eqx.Module):
+    """A force that changes from 1 to -1 within some `width` of q = 0."""
+
+    width: jax.Array
+
+    def __call__(self, q, v):
+        return (-jnp.tanh(q[0] / self.width),)
+
+
+class SteepLaw(AbstractFrictionLaw):
+    width: jax.Array
+
+    @property
+    def mu_static(self):
+        return self.coefficient(jnp.zeros(()))
+
+    def coefficient(self, speed):
+        return 0.5 + 0.25 * jnp.tanh((speed - 1.0) / self.width)
+
+
+@pytest.mark.parametrize("where", ["force", "law"])
+def test_a_feature_that_a_series_cannot_see_from_its_start_is_not_stepped_over(where):
+    """Without the error at the end of each step the force is wrong by 1, at every tolerance."""
+    start = (1.7, 0.0) if where == "force" else (0.0, 3.0)
+
+    def end(width, rtol):
+        force = Steep(width) if where == "force" else None
+        law = Coulomb(0.01) if where == "force" else SteepLaw(width)
+        cells = MechanicalCells(1.0, friction=law, local_force=force)
+        run = simulate(cells, tuple(jnp.array([part]) for part in start), 2.5, rtol=rtol)
+        return jnp.stack(run.state)[:, 0], run.rejected
+
+    widths = (1e-2, 1e-4)
+    for rtol in (1e-6, 1e-10):
+        states, rejected = jax.vmap(partial(end, rtol=rtol))(jnp.array(widths))
+        assert np.all(rejected > 0)
+        for width, state in zip(widths, states, strict=True):
+            if where == "force":
+                steep = lambda t, x, v, width=width: -x - np.tanh(x / width)  # noqa: E731
+                pieces = one_mass.integrate(steep, lambda s: 0.01, 0.01, start, 2.5)
+            else:
+                law = lambda s, width=width: 0.5 + 0.25 * np.tanh((s - 1.0) / width)  # noqa: E731
+                pieces = one_mass.integrate(lambda t, x, v: -x, law, 0.25, start, 2.5)
+            np.testing.assert_allclose(state, pieces[-1][0].y[:, -1], atol=100 * rtol)
+
+
+@pytest.mark.parametrize(
+    ("force", "corners"),
+    [
+        (lambda q: q % 1.0, (-1.0, 0.0, 1.0)),
+        (lambda q: -50.0 * jnp.maximum(q - 0.5, 0.0), (0.5,)),
+        (lambda q: jnp.where(q > 0.5, -1.0, 0.5), (0.5,)),
+    ],
+)
+def test_steps_end_where_a_force_chooses_another_case(force, corners):
+    cells = MechanicalCells(1.0, friction=Coulomb(0.05), local_force=lambda q, v: (force(q[0]),))
+    run = simulate(cells, (jnp.array([1.7]), jnp.zeros(1)), 9.0, rtol=1e-10)
+    on_host = lambda t, x, v: -x + float(force(np.float64(x)))  # noqa: E731
+    pieces = one_mass.integrate(
+        on_host, lambda s: 0.05, 0.05, (1.7, 0.0), 9.0, corners, max_step=0.2
+    )
+    np.testing.assert_allclose(run.state[0][0], pieces[-1][0].y[0, -1], atol=1e-8)
+    assert run.rejected < 10  # a jump alone costs some thirty
+
+
+def test_velocities_around_events_are_those_of_the_motion():
+    """The acceleration of a mass that sticks or turns is not that of the field, with F(0) = 0."""
+    cells = MechanicalCells(
+        1.0, damping=0.1, friction=Coulomb(1.0), belt_speed=0.0, normal_load=0.5, force=0.6,
+        frequency=2.0,
+    )  # fmt: skip
+    force = lambda t, x, v: -x - 0.1 * v + 0.6 * np.cos(2.0 * t)  # noqa: E731
+    pieces = one_mass.integrate(force, lambda s: 0.5, 0.5, (0.0, 0.0), 40.0, max_step=0.1)
+    times = np.linspace(20.0, 40.0, 20_001)
+    velocity, peaks = np.zeros_like(times), []
+    for piece, sign in pieces:
+        inside = (times >= piece.t[0]) & (times <= piece.t[-1])
+        velocity[inside] = piece.sol(times[inside])[1]
+        if sign == 0.0 or piece.t[-1] <= 20.0:
+            continue
+
+        def acceleration(t, piece=piece, sign=sign):
+            return force(t, *piece.sol(t)) - 0.5 * sign
+
+        first, last = max(piece.t[0], 20.0), piece.t[-1]
+        if acceleration(first) > 0 > acceleration(last):
+            peaks.append(brentq(acceleration, first, last, xtol=1e-13))
+    assert len(peaks) == 6
+    start = jnp.zeros(1), jnp.zeros(1)
+    watch = [
+        Amplitude(component=1, window=20.0),
+        Section(0, start=20.0, of="velocity", capacity=8),
+        PeakTimes(component=1, start=20.0, capacity=8),
+    ]
+    for observe in ([watch[0]], watch, [*watch, Trajectory(jnp.linspace(0.0, 40.0, 501))]):
+        run = simulate(cells, start, 40.0, rtol=1e-9, observe=observe)
+        np.testing.assert_allclose(run.observed[0], np.ptp(velocity) / 2, atol=1e-7)
+        for times in (run.observed[1][0], run.observed[2][:, 0]) if len(observe) > 1 else ():
+            np.testing.assert_allclose(times[:6], peaks, atol=1e-7)
+            assert np.all(np.isnan(times[6:]))

@@ -1,0 +1,40 @@
+"""One mass with dry friction, by SciPy's DOP853 with events."""
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+
+def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
+    """Pieces of x'' = force(t, x, x') - law(|x'|) sign x', which sticks while |force| <= limit.
+
+    `corners` of the force in x, and in |x'| of the law, end pieces.  Returns SciPy's solutions
+    with dense output, and for each the sign of sliding.
+    """
+    t, y, pieces = 0.0, np.array(start, float), []
+    sign = np.sign(y[1])
+    while t < t1:
+        if sign == 0.0 and abs(force(t, *y)) > limit:
+            sign = np.sign(force(t, *y))
+
+        def rate(t, y, sign=sign):
+            friction = law(sign * y[1]) * sign if sign else force(t, *y)
+            return y[1], force(t, *y) - friction
+
+        def ends(t, y, sign=sign):
+            return sign * y[1] if sign else limit - abs(force(t, *y))
+
+        events = [ends, *((lambda t, y, c=c: y[0] - c) for c in corners)]
+        for event in events:
+            event.terminal = True
+        ends.direction = -1
+        piece = solve_ivp(
+            rate, (t, t1), y, "DOP853", rtol=1e-12, atol=1e-13, max_step=max_step,
+            events=events, dense_output=True,
+        )  # fmt: skip
+        pieces.append((piece, sign))
+        t, y = piece.t[-1], piece.y[:, -1].copy()
+        if piece.t_events[0].size:
+            y[1], sign = 0.0, 0.0
+        elif piece.status == 1:  # beyond the corner
+            y[0] += 1e-13 * np.sign(y[1])
+    return pieces
