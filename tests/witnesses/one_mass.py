@@ -11,9 +11,9 @@ def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
     with dense output, and for each the sign of sliding.
     """
     t, y, pieces = 0.0, np.array(start, float), []
-    sign = np.sign(y[1])
+    sign, released = np.sign(y[1]), False
     while t < t1:
-        if sign == 0.0 and abs(force(t, *y)) > limit:
+        if sign == 0.0 and (released or abs(force(t, *y)) > limit):
             sign = np.sign(force(t, *y))
 
         def rate(t, y, sign=sign):
@@ -34,6 +34,7 @@ def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
         pieces.append((piece, sign))
         t, y = piece.t[-1], piece.y[:, -1].copy()
         if piece.t_events[0].size:
+            released = sign == 0.0
             y[1], sign = 0.0, 0.0
         elif piece.status == 1:  # beyond the corner
             y[0] += 1e-13 * np.sign(y[1])
