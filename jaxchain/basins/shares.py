@@ -348,7 +348,7 @@ def to_dataset(
     """
     from xarray import Dataset
 
-    from ..sweeps.ensemble import LONG_NAMES
+    from ..simulation.dataset import LONG_NAMES
 
     chain, classify, known_states = runs.chain, runs.classify, tally.states
     state, at_end = tally.state, tally.at_end

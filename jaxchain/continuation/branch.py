@@ -199,7 +199,7 @@ class Branch(Printed):
         special = special_variables(points, more, attrs.get("units", "1"))
         u = np.reshape([point.u for point in self.special], (-1, self.u.shape[1]))
         if parts:
-            columns, coords = self._parts(u, parts)
+            columns, coords = self._columns(u, parts)
         else:
             columns, coords = (
                 {
@@ -227,7 +227,7 @@ class Branch(Printed):
             },
         )
 
-    def _parts(
+    def _columns(
         self, special: np.ndarray, parts: Mapping[str, Mapping[str, str]]
     ) -> tuple[dict[str, tuple], dict[str, tuple]]:
         """The parts of u at points and special points as variables, and their coordinate."""

@@ -139,10 +139,10 @@ class _Expansion:
         self.known = iter(known)
         self.costly: list[Any] = []  # values at s_0, in the order of the program
 
-    def of(self, program: ClosedJaxpr, inputs: Sequence[Any], after: Sequence[Any]) -> list[Any]:
+    def of(self, program: Any, inputs: Sequence[Any], after: Sequence[Any]) -> list[Any]:
         return [series for series, _ in self._run(program, list(zip(inputs, after, strict=True)))]
 
-    def _run(self, program: ClosedJaxpr, inputs: Sequence[tuple[Any, Any]]) -> list[Any]:
+    def _run(self, program: Any, inputs: Sequence[tuple[Any, Any]]) -> list[Any]:
         values: dict[Any, tuple[Any, Any]] = dict(zip(program.jaxpr.invars, inputs, strict=True))
         values.update(
             (v, (c, c)) for v, c in zip(program.jaxpr.constvars, program.consts, strict=True)
@@ -251,7 +251,7 @@ def _each(results: PowerSeries, step: Any) -> list[PowerSeries]:
     return [PowerSeries(lambda k, i=i: results[k][i]) for i in range(len(step.outvars))]
 
 
-def _inner(step: Any) -> tuple[ClosedJaxpr, bool]:
+def _inner(step: Any) -> tuple[Any, bool]:
     """The program inside an operation, and whether it is smooth although it chooses."""
     inner = step.params[_CALLS[step.primitive.name]]
     inner = inner if isinstance(inner, ClosedJaxpr) else ClosedJaxpr(inner, ())

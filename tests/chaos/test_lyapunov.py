@@ -1,5 +1,7 @@
 """Lyapunov exponents against closed forms, multipliers, Lorenz's system and a second method."""
 
+from typing import Any
+
 import diffrax as dfx
 import jax
 import jax.numpy as jnp
@@ -199,7 +201,8 @@ def test_a_cell_has_the_exponents_of_the_same_mass_as_a_chain():
     friction = paper_chain(1, width=1e-2).friction
     cell = MechanicalCells(1.0, damping=0.1, friction=friction, belt_speed=1.5)
     start = jnp.array([2.2]), jnp.zeros(1)
-    for how, accuracy in (({}, 0.05), ({"max_step": 0.02, "rtol": 1e-9, "interval": 5.0}, 1e-4)):
+    fine: dict[str, Any] = {"max_step": 0.02, "rtol": 1e-9, "interval": 5.0}
+    for how, accuracy in (({}, 0.05), (fine, 1e-4)):
         chain, found = (
             lyapunov_spectrum(one, start, 60.0, transient=30.0, blocks=2, **how)
             for one in (paper_chain(1, 1.5, width=1e-2), cell)

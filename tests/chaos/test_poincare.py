@@ -105,7 +105,7 @@ def test_a_ring_of_other_oscillators_has_the_mirror_images_of_a_ring():
     """Masses 1 and 2 are images of each other in a ring of three, but not between free ends."""
     symmetry = {}
     for ends in ("cyclic", "free"):
-        field = VanDerPol(jnp.asarray(0.5), Springs(jnp.asarray(0.1), ends))
+        field = VanDerPol(strength=jnp.asarray(0.5), springs=Springs(jnp.asarray(0.1), ends))
         task = _VerdictTask(field, None, jnp.asarray(50.0), jnp.asarray(1.0), None, 1e-6, 16, 1)
         record = made_up([0.0, 1.0, 1.0], np.full(3, 6.25), wander=1.0)  # does not recur
         record = record._replace(sizes=np.ones((20, 1)))

@@ -1,4 +1,4 @@
-from typing import get_args
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -138,7 +138,7 @@ def test_damping_and_coupling_may_be_zero(name):
 
 def test_a_rig_in_si_units_is_a_chain_in_one_call():
     law = ExponentialDecay(1.0, 0.5, v_ref=0.25)
-    rig = {"mass": 2.0, "damping": 2.0, "stiffness": 200.0, "normal_load": 10.0}
+    rig: dict[str, Any] = {"mass": 2.0, "damping": 2.0, "stiffness": 200.0, "normal_load": 10.0}
     chain, scales = Chain.from_si(
         3, TanhFriction(law, 0.005), 0.75, coupling_stiffness=2.0, ends="free", **rig
     )
@@ -168,10 +168,11 @@ def test_a_rig_in_si_units_is_a_chain_in_one_call():
 
 
 def test_a_table_of_a_rig_is_converted_and_a_law_of_ones_own_is_refused():
-    rig = {"mass": 2.0, "damping": 2.0, "stiffness": 200.0, "normal_load": 10.0}
+    rig: dict[str, Any] = {"mass": 2.0, "damping": 2.0, "stiffness": 200.0, "normal_load": 10.0}
     table = TabulatedFriction([0.0, 0.25, 0.5], [1.0, 0.7, 0.6])
     chain, _ = Chain.from_si(1, table, 0.75, **rig)
-    np.testing.assert_allclose(chain.law.table, [[0.0, 0.5, 1.0], [1.0, 0.7, 0.6]])
+    law: Any = chain.law
+    np.testing.assert_allclose(law.table, [[0.0, 0.5, 1.0], [1.0, 0.7, 0.6]])
 
     class Own(AbstractFrictionLaw):
         mu_static: jax.Array

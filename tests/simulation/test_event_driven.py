@@ -582,11 +582,8 @@ class Steep(eqx.Module):
 
 
 class SteepLaw(AbstractFrictionLaw):
+    mu_static: jax.Array
     step: jax.Array
-
-    @property
-    def mu_static(self):
-        return self.coefficient(jnp.zeros(()))
 
     def coefficient(self, speed):
         return 0.5 + 0.25 * jnp.tanh((speed - 1.0) / self.step)
@@ -599,7 +596,7 @@ def test_a_feature_that_a_series_cannot_see_from_its_start_is_not_stepped_over(w
 
     def end(width, rtol):
         force = Steep(width) if where == "force" else None
-        law = Coulomb(0.01) if where == "force" else SteepLaw(width)
+        law = Coulomb(0.01) if where == "force" else SteepLaw(jnp.asarray(0.25), width)
         cells = MechanicalCells(1.0, friction=law, local_force=force)
         run = simulate(cells, tuple(jnp.array([part]) for part in start), 2.5, rtol=rtol)
         return jnp.stack(run.state)[:, 0], run.rejected

@@ -1,5 +1,7 @@
 """One mass with dry friction, by SciPy's DOP853 with events."""
 
+from typing import Any
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -16,17 +18,17 @@ def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
         if sign == 0.0 and (released or abs(force(t, *y)) > limit):
             sign = np.sign(force(t, *y))
 
-        def rate(t, y, sign=sign):
-            friction = law(sign * y[1]) * sign if sign else force(t, *y)
+        def rate(t: Any, y: Any, slides: Any = sign) -> Any:
+            friction = law(slides * y[1]) * slides if slides else force(t, *y)
             return y[1], force(t, *y) - friction
 
-        def ends(t, y, sign=sign):
-            return sign * y[1] if sign else limit - abs(force(t, *y))
+        def ends(t: Any, y: Any, slides: Any = sign) -> Any:
+            return slides * y[1] if slides else limit - abs(force(t, *y))
 
-        events = [ends, *((lambda t, y, c=c: y[0] - c) for c in corners)]
+        events: Any = [ends, *((lambda t, y, c=c: y[0] - c) for c in corners)]
         for event in events:
             event.terminal = True
-        ends.direction = -1
+        events[0].direction = -1
         piece = solve_ivp(
             rate, (t, t1), y, "DOP853", rtol=1e-12, atol=1e-13, max_step=max_step,
             events=events, dense_output=True,
