@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
     """Pieces of x'' = force(t, x, x') - law(|x'|) sign x', which sticks while |force| <= limit.
 
-    `corners` of the force in x, and in |x'| of the law, end pieces.  Returns SciPy's solutions
+    Pieces also end at the `corners` of the force in x.  Returns SciPy's solutions
     with dense output, and for each the sign of sliding.
     """
     t, y, pieces = 0.0, np.array(start, float), []
