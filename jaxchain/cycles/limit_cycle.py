@@ -611,6 +611,10 @@ class _Cuts(AbstractSection):
         field: Any = step.field
         return field.belt_direction() * _slipping(field, *y)[self.oscillator]
 
+    def _slope_after(self, step: Step, last: Array) -> Array:
+        del step
+        return last
+
 
 def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
     """v' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""

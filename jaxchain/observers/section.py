@@ -40,7 +40,8 @@ class PeakTimes(AbstractNotingObserver):
 
     **Arguments:** `capacity`, the greatest number of maxima kept per mass (the first ones; for
     long runs see `segments` of `simulate`); `start`, the time from which maxima are kept (None:
-    the start of the run); `component`, the number of a cell that is observed.
+    the start of the run); `component`, the number of a cell that is observed.  A velocity has no
+    maximum while its mass sticks.
 
     **Value:** shape (capacity, n); NaN in the rows beyond the maxima that there were, which says
     nothing about the run.
@@ -150,14 +151,14 @@ class AbstractSection(AbstractObserver):
         if not isinstance(self.oscillator, Array):
             check_whole("oscillator", self.oscillator, 0, n - 1, f"the chain has {n} masses.")
         empty = jnp.full((self.capacity, n), jnp.nan)
-        return empty[:, 0], *(empty for _ in y0), jnp.zeros((), int)
+        return empty[:, 0], *(empty for _ in y0), jnp.zeros((), bool), jnp.zeros((), int)
 
     def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
         return self.start is None or self.start <= t1
 
     def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
-        times, *kept, count = accumulator
+        times, *kept, level, count = accumulator
         first = self._slope(step, 0.0, step.y0)
         last = self._slope(step, 1.0, step.y1)
         peaks = (first > 0) & (last <= 0)
@@ -166,9 +167,16 @@ class AbstractSection(AbstractObserver):
             theta = lax.stop_gradient(zeros(velocity, peaks, first, last, elsewhere=1.0))
         else:
             theta = self._fastest(step, peaks, first, last)
-            peaks = peaks | self._corner(step, last)
-        hit = peaks if self.start is None else peaks & (step.time(theta) >= self.start)
-        here = hit & (jnp.arange(self.capacity) == count)
+        after = self._slope_after(step, last)
+        hit = peaks | ((last > 0) & (after < 0))  # a corner
+        stops = (last > 0) & (after == 0)
+        if self.start is not None:
+            late = step.time(theta) >= self.start
+            hit, stops = hit & late, stops & late
+        # A mass that starts to stick may be at a maximum, which counts once it falls from there.
+        falls = level & (last < 0)
+        level = stops | (level & (last == 0))
+        here = (hit | stops) & (jnp.arange(self.capacity) == count)
         # Once, not once for every row.
         state = [materialize(part) for part in step.state(theta)]
         return (
@@ -177,7 +185,8 @@ class AbstractSection(AbstractObserver):
                 jnp.where(here[:, None], part[None, :], old)
                 for part, old in zip(state, kept, strict=True)
             ),
-            count + hit,
+            level,
+            count + (hit | falls),
         )
 
     def _slope(self, step: Step, theta: Any, y: State) -> Array:
@@ -187,12 +196,11 @@ class AbstractSection(AbstractObserver):
             return field.value_and_rate(step.time(theta), y)[1][self.oscillator]
         return field.belt_direction() * step.second_rate(theta, y)[self.oscillator]
 
-    def _corner(self, step: Step, last: Array) -> Array:
-        """Whether the velocity has a maximum at the end of a step, where its rate jumps."""
-        if step.rates is None:
-            return jnp.asarray(False)
-        after = step.rates.after[step.component][self.oscillator]
-        return (last > 0) & (step.field.belt_direction() * after < 0)
+    def _slope_after(self, step: Step, last: Array) -> Array:
+        """The slope just after the end of a step, if it is not the `last` one within it."""
+        if step.rates is None or self.of == "displacement":
+            return last
+        return step.field.belt_direction() * step.rates.after[step.component][self.oscillator]
 
     def _fastest(self, step: Step, peaks: Array, first: Array, last: Array) -> Array:
         """By the Illinois rule: the value at an end that stays twice is halved."""
@@ -213,10 +221,13 @@ class AbstractSection(AbstractObserver):
         return jnp.where(peaks, a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0), 1.0)
 
     def finite(self, accumulator: tuple[Array, ...]) -> Bool[Array, ""]:
-        return all_finite(accumulator[:-1], jnp.arange(self.capacity) < accumulator[-1])
+        return all_finite(accumulator[:-2], jnp.arange(self.capacity) < accumulator[-1])
 
     def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
-        return accumulator[:-1]
+        found = jnp.arange(self.capacity) < accumulator[-1]
+        times, *kept = accumulator[:-2]
+        states = (jnp.where(found[:, None], part, jnp.nan) for part in kept)
+        return jnp.where(found, times, jnp.nan), *states
 
     def label(self, value: tuple[Array, ...], chain: Any) -> dict[str, Variable]:
         return states_at_times("section", value, chain, "point", "oscillator")
@@ -228,7 +239,9 @@ class Section(AbstractSection):
 
     **Arguments:** `oscillator`, an index, and `start`, the time before which nothing is kept
     (None: the start of the run), may be traced; `of` which the maximum is: "displacement", v = 0
-    and v' < 0, or "velocity" in the belt's direction, v' = 0 and v'' < 0.
+    and v' < 0, or "velocity" in the belt's direction, v' = 0 and v'' < 0.  The velocity of a mass
+    that sticks is level: that is one maximum, where it starts, if the velocity rises before and
+    falls afterwards.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN in the rows
     beyond the maxima that there were.  With other cells the maximum is that of their first number,
