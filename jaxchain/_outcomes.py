@@ -13,10 +13,10 @@ ADVICE = {
         "`rtol`, or use a larger regularization width."
     ),
     "step_too_small": (
-        "The step size fell below what the time can resolve: the state diverged or became NaN, the "
-        "regularization width is too small for these tolerances, or a force or friction law has a "
-        "jump or corner that no step passes. Check the parameters, first for a negative damping "
-        "ratio, and loosen `rtol` or enlarge the width."
+        "The step size fell below what the time can resolve: the state diverged or became NaN, "
+        "the regularization width is too small for these tolerances, or a force or friction law "
+        "has a jump or corner that no step passes. Check the parameters, first for a negative "
+        "damping ratio, and loosen `rtol` or enlarge the width."
     ),
     "untrusted_linear_solve": (
         "The truncated linear solve of the structured solver is not proven accurate for this step "

@@ -12,8 +12,10 @@ def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
     Pieces also end at the `corners` of the force in x.  Returns SciPy's solutions
     with dense output, and for each the sign of sliding.
     """
-    t, y, pieces = 0.0, np.array(start, float), []
-    sign, released = np.sign(y[1]), False
+    t: Any = 0.0
+    y: Any = np.array(start, float)
+    sign: Any = np.sign(y[1])
+    pieces, released = [], False
     while t < t1:
         if sign == 0.0 and (released or abs(force(t, *y)) > limit):
             sign = np.sign(force(t, *y))
