@@ -337,7 +337,7 @@ class LimitCycle(Outcome):
       velocity of that mass; velocities of a sticking mass are measured in widths.  `result`:
       successful for a cycle.
     - `multipliers`: the 2n - 1 Floquet multipliers except the trivial one, the greatest modulus
-      first.
+      first.  Dry friction: 0 also for those below rounding.
     - `trivial_defect`: |M f - f| / |f| for f = (x', v'), ideally 0.  `liouville_defect`: see the
       function of this name; NaN for dry friction.  Both are measured on this orbit.
     - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the

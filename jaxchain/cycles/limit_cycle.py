@@ -584,6 +584,7 @@ def dry_cycle(
     u = equations.pack(state, orbit.period)
     gap = jnp.concatenate(end) - jnp.concatenate(state)
     residual = jnp.max(jnp.abs(gap)) / fastest[mass]
+    unresolved = jnp.isnan(orbit.multipliers) & jnp.isfinite(orbit.defect)
     cycle = _cycle(
         equations,
         u,
@@ -592,7 +593,7 @@ def dry_cycle(
         lost=jnp.isinf(orbit.gap),
         ended=of.where(jnp.isfinite(residual), of.no_step_helps, of.nonfinite),
         residual=residual,
-        multipliers=orbit.multipliers,
+        multipliers=jnp.where(unresolved, 0.0, orbit.multipliers),
         trivial_defect=orbit.defect,
         liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
         amplitude=(high - low) / 2,

@@ -10,6 +10,7 @@ from jaxchain.boundaries.grazing import find_grazing
 from jaxchain.cycles.floquet import floquet_multipliers
 from jaxchain.cycles.limit_cycle import find_limit_cycle, refine_orbit
 from jaxchain.model.chain import paper_chain
+from jaxchain.simulation.run import simulate
 
 # The fold by grazing and its derivatives are the quick look at dry cycles.
 pytestmark = pytest.mark.long
@@ -146,3 +147,16 @@ def test_derivatives_of_a_dry_cycle_do_not_depend_on_how_they_are_compiled():
         jax.jvp(compiled, (0.5,), (1.0,))[1],
     ):  # fmt: skip
         np.testing.assert_allclose(found, slope, rtol=1e-7)
+
+
+def test_multipliers_below_rounding_are_zero():
+    """Neighbours half a period apart: each mass sticks, and a wave of four masses is lost, too."""
+    ring = paper_chain(4, 1.16, width=None)
+    one = paper_chain(1, 1.16, width=None).with_(stiffness=1.0 + 4 * 0.01)
+    alone = found(one)
+    beside = simulate(one, alone.state, alone.period / 2).state
+    pairs = zip(alone.state, beside, strict=True)
+    state = tuple(jnp.tile(jnp.concatenate(pair), 2) for pair in pairs)
+    moduli = np.abs(find_limit_cycle(ring, state, period=alone.period).multipliers)
+    assert np.all(moduli[:4] > 1e-5)
+    assert np.all(moduli[4:] == 0)
