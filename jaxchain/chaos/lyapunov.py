@@ -49,7 +49,6 @@ from ..simulation.accuracy import (
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.plan import AbstractPlan, Progress, forward_only, where
 from ..simulation.run import build_plan
-from ..simulation.smoothed import SmoothedPlan
 
 # An exponent this small counts as 0: blocks of a periodic run may scatter by rounding only.
 ZERO = 1e-9
@@ -258,7 +257,7 @@ def advance_frame(
     m = len(frame.progress.state)
 
     def after(flat: Array) -> tuple[Array, Progress]:
-        begun = _resume(plan, field, frame.progress, tuple(jnp.split(flat, m)), t1)
+        begun = plan.moved(field, frame.progress, tuple(jnp.split(flat, m)), t1)
         progress, _ = plan.advance(field, begun, t1, max_steps=max_steps)
         return jnp.concatenate(progress.state), progress
 
@@ -269,24 +268,6 @@ def advance_frame(
 
     _, images, progress = jax.vmap(along, in_axes=1, out_axes=(None, 1, None))(frame.basis)
     return Frame(progress, frame.basis), images
-
-
-def _resume(
-    plan: AbstractPlan, field: AbstractField, progress: Progress, state: State, t1: Any
-) -> Progress:
-    """The run with another `state`; everything that depends smoothly on it is recomputed.
-
-    A Runge-Kutta method may keep the slope at the end of a step for the next one.
-    """
-    moved = eqx.tree_at(lambda p: p.state, progress, state)
-    if not isinstance(plan, SmoothedPlan):
-        return moved  # sticking or sliding does not depend smoothly on anything
-    fresh = plan.begin(field, state, progress.t, t1).memory
-    kept = progress.memory
-    memory = eqx.tree_at(
-        lambda m: (m.step_size, m.controller), fresh, (kept.step_size, kept.controller)
-    )
-    return eqx.tree_at(lambda p: p.memory, moved, memory)
 
 
 @eqx.filter_jit

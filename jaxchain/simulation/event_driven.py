@@ -131,8 +131,8 @@ def shifts(
     return jnp.where(usable, each, mean), mean
 
 
-def at_the_end(field: Dry, progress: Progress, t1: Any) -> Progress:
-    """The shift if an event coincides with t1: the end moves with t1, not with the event.
+def at_the_end(field: Dry, progress: Progress, t1: Any) -> State:
+    """The state at t1: if an event coincides with t1, the end moves with t1, not with the event.
 
     This occurs for a run over the period of a cycle that is cut at an event.
     """
@@ -140,7 +140,7 @@ def at_the_end(field: Dry, progress: Progress, t1: Any) -> Progress:
     # Rounding only; 0 except for its derivative.
     rest = jnp.where(progress.running & (progress.t >= t1), t1 - progress.t, 0.0)
     pairs = zip(progress.state, rate, strict=True)
-    return eqx.tree_at(lambda p: p.state, progress, tuple(a + rest * b for a, b in pairs))
+    return tuple(a + rest * b for a, b in pairs)
 
 
 def head_start(
@@ -245,6 +245,12 @@ class _StoredMotion(eqx.Module):
     friction: list[Array]  # values at the present speeds, see `friction_coefficient`
 
 
+def _friction(dry: Dry, state: State, modes: Modes) -> list[Array]:
+    v = state[dry.contact]
+    _, known = friction_coefficient(dry, v, modes.direction, v - dry.belt_speed)
+    return known
+
+
 class EventDrivenPlan(AbstractPlan):
     """An event-driven Taylor integration: order, tolerances, observers."""
 
@@ -261,8 +267,7 @@ class EventDrivenPlan(AbstractPlan):
     def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
         state, modes = start(dry, t0, initial)
-        v = state[dry.contact]
-        _, known = friction_coefficient(dry, v, modes.direction, v - dry.belt_speed)
+        known = _friction(dry, state, modes)
         return Progress(
             t=to_float(t0),
             state=state,
@@ -271,6 +276,13 @@ class EventDrivenPlan(AbstractPlan):
             result=first_result(state, t0, t1),
             steps=jnp.zeros((), int),
             rejected=jnp.zeros((), int),
+        )
+
+    def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
+        del t1
+        known = _friction(_dry(field), state, progress.memory.modes)
+        return dataclasses.replace(
+            progress, state=state, memory=dataclasses.replace(progress.memory, friction=known)
         )
 
     def advance(
@@ -324,7 +336,7 @@ class EventDrivenPlan(AbstractPlan):
         if forward:
             carry = forward_only(carry)
         progress, records = carry
-        progress = at_the_end(dry, progress, t1)
+        progress = self.moved(field, progress, at_the_end(dry, progress, t1), t1)
         unfinished = progress.running & (progress.t < t1)
         result = Result.where(unfinished, Result.max_steps_reached, progress.result)
         progress = eqx.tree_at(lambda p: p.result, progress, result)

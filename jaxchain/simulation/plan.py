@@ -188,6 +188,10 @@ class AbstractPlan(eqx.Module):
         """A run over [t0, t1] before its first step; ended already if nothing can be computed."""
 
     @abc.abstractmethod
+    def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
+        """The run with another state; what depends smoothly on the state is computed again."""
+
+    @abc.abstractmethod
     def advance(
         self,
         field: AbstractField,

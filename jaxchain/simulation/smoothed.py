@@ -238,6 +238,12 @@ class SmoothedPlan(AbstractPlan):
             rejected=jnp.zeros((), int),
         )
 
+    def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
+        # A Runge-Kutta method may keep the slope at the end of a step for the next one.
+        fresh, kept = self.begin(field, state, progress.t, t1).memory, progress.memory
+        memory = dataclasses.replace(fresh, step_size=kept.step_size, controller=kept.controller)
+        return dataclasses.replace(progress, state=state, memory=memory)
+
     def advance(
         self,
         field: AbstractField,

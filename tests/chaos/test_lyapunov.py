@@ -79,6 +79,21 @@ def test_one_dry_mass_vibrates_and_two_rest():
     assert float(found.t) == pytest.approx(350 * cycle.period)
 
 
+def test_each_part_of_a_dry_run_starts_with_the_friction_of_its_state():
+    """A mass that slides has the rates of its eigenvalues; along a cycle nothing grows."""
+    chain = paper_chain(1, 1.5, None)
+    cycle = vibrating_cycle(numbers_of(chain))
+    assert cycle is not None
+    for start, exact in (
+        ((jnp.array([0.7]), jnp.array([0.1])), [resting_rate(chain)] * 2),
+        (equation_8(chain, 1), [0.0, -np.inf]),
+    ):
+        found = lyapunov_spectrum(
+            chain, start, 30 * cycle.period, transient=10 * cycle.period, interval=0.3
+        )
+        np.testing.assert_allclose(found.smooth, exact, atol=1e-5)
+
+
 @pytest.mark.long
 def test_masses_that_stick_together_lose_as_many_directions():
     """Two nearly in step lose two; all exponents are those of one mass, twice."""
