@@ -280,10 +280,10 @@ class EventDrivenPlan(AbstractPlan):
 
     def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
         del t1
-        known = _friction(_dry(field), state, progress.memory.modes)
-        return dataclasses.replace(
-            progress, state=state, memory=dataclasses.replace(progress.memory, friction=known)
-        )
+        memory = progress.memory
+        known = _friction(_dry(field), state, memory.modes)
+        memory = dataclasses.replace(memory, friction=known)
+        return dataclasses.replace(progress, state=state, memory=memory)
 
     def advance(
         self,
@@ -337,8 +337,13 @@ class EventDrivenPlan(AbstractPlan):
             carry = forward_only(carry)
         progress, records = carry
         progress = self.moved(field, progress, at_the_end(dry, progress, t1), t1)
+        # In a state this large, events are closer than the resolution of the time.
+        greatest = jnp.max(jnp.abs(jnp.stack(progress.state)))
+        accumulate = progress.result == Result.events_accumulate
+        blurred = accumulate & (greatest > _RAN_AWAY)
+        result = Result.where(blurred, Result.step_too_small, progress.result)
         unfinished = progress.running & (progress.t < t1)
-        result = Result.where(unfinished, Result.max_steps_reached, progress.result)
+        result = Result.where(unfinished, Result.max_steps_reached, result)
         progress = eqx.tree_at(lambda p: p.result, progress, result)
         saved = [record.read() for record in records]
         return self.checked(progress, saved), saved
@@ -371,18 +376,17 @@ class EventDrivenPlan(AbstractPlan):
         ]
         bearable = frozen(_step_length(self.order, series, per_scale))
         bearable = jnp.minimum(jnp.minimum(bearable, self.max_step), memory.longest)
-        last = left <= bearable
-        length = jnp.where(last, left, bearable)
+        length = jnp.minimum(left, bearable)
         until, hits = next_event(*frozen((field, series, modes, length)))
-        early = until < length
-        length = jnp.where(early, until, length)
+        length = jnp.where(until < length, until, length)
+        meets = (length >= left) & ~jnp.any(hits)
 
         # Each is computed once: see `materialize`.
         d, place = len(series.x), field.contact
         lengths = spread(length, before[0])
         x = [materialize(value(part, lengths), flat=True) for part in series.x]
-        moving = [value_and_slope(part, lengths) for part in series.v]
-        v, slopes = ([materialize(pair[i], flat=True) for pair in moving] for i in (0, 1))
+        v, slopes = zip(*[value_and_slope(part, lengths) for part in series.v], strict=True)
+        v = [materialize(part, flat=True) for part in v]
         here = v[place - d], slopes[place - d]
         # Rounding, and so only its derivatives are computed.
         of_events, shift = shifts(field, series, modes, length, hits, *here)
@@ -400,19 +404,15 @@ class EventDrivenPlan(AbstractPlan):
         mu, known = friction_coefficient(field, state[place], new.direction, series.w[0])
         chosen = free_as_chosen(field, series, t1, state, free)
         right = rates(field, chosen, mu, modes.direction)
-        defect = _greatest([a - b for a, b in zip(slopes, right, strict=True)], per_scale)
-        accepted = frozen(materialize(length * defect <= _BEARABLE * (self.order + 1)))
-        # NaN if any is NaN.
-        sizes = [jnp.abs(part) for part in (*x, *v)]
-        greatest = jnp.max(functools.reduce(jnp.maximum, sizes))
-        finite = jnp.isfinite(greatest)
-        meets = last & ~early & ~jnp.any(hits)
-        t1 = jnp.where(meets, end, t1)
+        gaps = [frozen(a - b) for a, b in zip(slopes, right, strict=True)]
+        defect = materialize(_greatest(gaps, per_scale))  # NaN if any number is
+        accepted = length * defect <= _BEARABLE * (self.order + 1)
+        finite = jnp.isfinite(defect)
         # A rejected step is one of no length.
-        t1 = jnp.where(finite & accepted, t1, t0)
+        t1 = jnp.where(finite & accepted, jnp.where(meets, end, t1), t0)
         kept = state, new, known
         state, new, known = where(accepted, kept, (before, modes, memory.friction))
-        stalled = jnp.where(accepted, jnp.where(t1 > t0, 0, memory.stalled + 1), memory.stalled)
+        stalled = jnp.where(t1 > t0, 0, memory.stalled + 1)
         longest = jnp.where(accepted, _RECOVERY * memory.longest, 0.5 * frozen(length))
 
         accumulators, result, notes = progress.accumulators, progress.result, []
@@ -431,11 +431,8 @@ class EventDrivenPlan(AbstractPlan):
                 for o, a in pairs
             ]
             result = self.settled(accumulators, result)
-        # For a state this large, events are closer than the resolution of the time.
-        large = greatest > _RAN_AWAY
-        why = Result.where(large, Result.step_too_small, Result.events_accumulate)
         stuck = stalled > _STALLED_PER_MASS * x[0].shape[0] + _STALLED
-        result = Result.where(stuck, why, result)
+        result = Result.where(stuck, Result.events_accumulate, result)
         resolved = longest > _RESOLUTION * jnp.maximum(jnp.abs(t0), jnp.abs(end))
         result = Result.where(resolved, result, Result.step_too_small)
         result = Result.where(finite, result, Result.nonfinite)
