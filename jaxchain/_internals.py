@@ -225,7 +225,7 @@ def moved_program(executable: Any, device: Any) -> Any:
         options = get_compile_options(1, 1, device_assignment=np.array([[device.id]]))
 
         class Loader(pickle.Unpickler):
-            """JAX's own loader takes the number of the first device for that of the given one."""
+            """JAX's own loader confuses the numbers of the first and of the given device."""
 
             def persistent_load(self, pid: Any) -> Any:
                 if pid[0] == "exec":

@@ -193,7 +193,7 @@ def name_of(item: Any) -> str:
 
 
 def is_one(item: Any) -> bool:
-    """Whether an outcome is that of one run, and not traced."""
+    """Whether an outcome belongs to one run, and is not traced."""
     codes: Any = getattr(item, "_value", None)
     concrete = isinstance(codes, int | np.ndarray | jax.Array) and not isinstance(codes, Tracer)
     return concrete and np.ndim(codes) == 0

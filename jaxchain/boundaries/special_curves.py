@@ -103,7 +103,7 @@ _TOLERANCE = 1e-8
 _LEAST_STEP = 1e-3
 # Below it a number has no scale of its own.
 _TINY = 1e-6
-# Ends that may be those of a number that vanishes, and its share of the greatest on the curve.
+# Ends that a number which vanishes may cause, and its share of the greatest on the curve.
 _VANISHING = ("small", "lost", "step_too_small", *_OTHER_EVENTS)
 _VANISHED = 1e-3
 
@@ -866,7 +866,7 @@ def continue_special(
       where a number of a `Chain` that must not be negative is 0, and cycles without a force end
       where the belt speed is.
     - `step`, `max_step`, `max_points` in each direction, `tolerance`, `keep_part` (after Ctrl-C):
-      see `continue_branch`; lengths are those of `continue_cycle`, with the second number relative
+      see `continue_branch`; lengths as in `continue_cycle`, with the second number relative
       to its first value.
 
     **Returns:** a `SpecialCurve`.

@@ -59,7 +59,7 @@ class LyapunovSpectrum(Printed, eqx.Module):
     """Lyapunov exponents per dimensionless time; arrays have shape (count,).
 
     - `exponents`: time averages over the window; -inf for a direction that sticking erases.  Their
-      order is that of the decomposition: descending, except for nearly equal ones.
+      order comes from the decomposition: descending, except for nearly equal ones.
     - `smooth`: averages with the weight exp(-1 / (s (1 - s))) over the share s of the window.  For
       regular motion (periodic, quasi-periodic, steady) of smooth systems they converge faster than
       any power of the window's length, and `exponents` like 1 / length; for chaos they have no

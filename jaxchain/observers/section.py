@@ -244,7 +244,7 @@ class Section(AbstractSection):
     falls afterwards.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN in the rows
-    beyond the maxima that there were.  With other cells the maximum is that of their first number,
+    beyond the maxima that there were.  With other cells their first number has the maximum,
     and the value contains all m.
 
     !!! example

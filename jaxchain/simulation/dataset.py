@@ -1,6 +1,6 @@
 """The results of runs as a labelled dataset: names, units and provenance.
 
-`sweep` writes its results by this module, and `Simulation.to_dataset` those of one run.
+`sweep` writes its results by this module, and `Simulation.to_dataset` one run.
 """
 
 from __future__ import annotations

@@ -516,7 +516,7 @@ _BANDS: dict[str, Callable[..., list[Any] | None]] = {
 # The greatest or least of an array, which is chosen, too, but by JAX's Taylor mode.
 _EXTREMES = {"reduce_max", "reduce_min", "cummax", "cummin"}
 # Functions of JAX that choose between cases only to be accurate: in each case they are the same
-# analytic function, so its series is that of the case.
+# analytic function, whose series this is.
 _SMOOTH = {"logaddexp", "logaddexp2"}
 # Each takes the operands as series, and what they are just after s_0.
 _CHOICES: dict[str, Callable[[list[Any], list[Any]], PowerSeries]] = {

@@ -106,7 +106,7 @@ def _check_column(dim: str, name: str, columns: dict[str, np.ndarray], arrays: b
     if values.size == 0 or not (values.ndim == 1 or (arrays and values.ndim > 1)):
         remedy = "."
         if arrays:
-            remedy = ": its first axis is that of the runs."
+            remedy = ": its first axis counts the runs."
         elif values.ndim > 1 and values.size:
             remedy = (
                 f": for one {name} per mass and run, give a function `vary=lambda chain, numbers: "

@@ -61,7 +61,7 @@ def start(tmp_path_factory):
 
 
 def end(process):
-    """Its exit status and errors; that of a signal as a shell gives it."""
+    """Its exit status, after a signal as a shell gives it, and its errors."""
     errors = process.communicate(timeout=PATIENCE)[1]
     status = process.returncode
     return 128 - status if status < 0 else status, errors

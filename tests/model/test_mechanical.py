@@ -254,7 +254,7 @@ def test_bad_parts_are_refused(changes, names):
 
 
 def test_a_force_may_depend_on_the_side_of_a_corner():
-    """While the motion stays on one side it is that of the smooth force there."""
+    """While the motion stays on one side it equals the motion with the smooth force there."""
 
     def end(force):
         cells = MechanicalCells(

@@ -635,7 +635,7 @@ def test_steps_end_where_a_force_chooses_another_case(force, corners):
 
 
 def test_velocities_around_events_are_those_of_the_motion():
-    """The acceleration of a mass that sticks or turns is not that of the field, with F(0) = 0."""
+    """A mass that sticks or turns has another acceleration than the field, whose F(0) = 0."""
     cells = MechanicalCells(
         1.0, damping=0.1, friction=Coulomb(1.0), belt_speed=0.0, normal_load=0.5, force=0.6,
         frequency=2.0,
