@@ -15,6 +15,7 @@ import shlex
 import signal
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -53,6 +54,10 @@ _NO_FOLD = (
 )
 
 
+# Those that end a command, after what is finished is saved.
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
 class _MisusedError(Exception):
     """An argument of the command line is wrong."""
 
@@ -68,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     - 130: interrupted by Ctrl-C, SIGTERM or a closed terminal; finished runs are saved.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    for number in (signal.SIGTERM, signal.SIGHUP):  # end a command like Ctrl-C
+    for number in _SIGNALS:
         if signal.getsignal(number) is signal.SIG_DFL:
             signal.signal(number, signal.default_int_handler)
     try:
@@ -91,16 +96,30 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextlib.contextmanager
 def _interruptible() -> Iterator[None]:
-    """Raises `KeyboardInterrupt` on Ctrl-C, also where JAX turns it into another error.
+    """Raises `KeyboardInterrupt` on Ctrl-C, also where compiled code turns it into another error.
 
-    JAX does so while it compares static arguments, with the traceback in the message.
+    JAX does so while it compares static arguments, Matplotlib while it draws a path.
     """
+    came: list[int] = []
+    main_thread = threading.current_thread() is threading.main_thread()
+    handlers = {int(number): signal.getsignal(number) for number in _SIGNALS if main_thread}
+    usual = {number: handler for number, handler in handlers.items() if callable(handler)}
+
+    def note(number: int, frame: Any) -> None:
+        came.append(number)
+        usual[number](number, frame)
+
+    for number in usual:
+        signal.signal(number, note)
     try:
         yield
-    except Exception as error:
-        if "KeyboardInterrupt" in str(error):
+    except Exception:
+        if came:
             raise KeyboardInterrupt from None
         raise
+    finally:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -1,5 +1,6 @@
 """The `jaxchain` command: what it prints, what it writes, and that it loses nothing."""
 
+import contextlib
 import errno
 import json
 import os
@@ -539,14 +540,16 @@ def test_status_shows_the_progress_of_a_store(workplace, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out) == {"stores": [status]}
 
 
-def test_ctrl_c_that_jax_turns_into_another_error_is_an_interruption(
+def test_ctrl_c_that_compiled_code_turns_into_another_error_is_an_interruption(
     workplace, made_up_sweep, monkeypatch, capsys
 ):
     whole = running.sweep
 
     def stopped(chain, *arguments, **options):
         if chain.n == 3:
-            raise ValueError("static arguments should be comparable. KeyboardInterrupt: ")
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            raise ValueError("static arguments should be comparable")
         return whole(chain, *arguments, **options)
 
     monkeypatch.setattr(running, "sweep", stopped)
