@@ -164,8 +164,9 @@ class Signal(Printed, eqx.Module):
       is then the stretch of the spring, and its force k x.  Where friction jumps as the mass comes
       to the belt, a search may stop at a wrong time of the jump; it warns then.
     - `offset`: None if the values have the zero of the model; "unknown" if a constant was added to
-      them or taken from them, as by an amplifier that removes the mean (AC coupling), or a sensor without
-      a zero.  `identify` and `log_likelihood` then fit the constant, too, and `predict` has none.
+      them or taken from them, as by an amplifier that removes the mean (AC coupling), or a sensor
+      without a zero.  `identify` and `log_likelihood` then fit the constant, too; `predict` has
+      none.
     - `start`: the state (x, v) of all masses at the first time, for a record that is not one of a
       limit cycle, such as a decay.  `identify` takes it for a guess, and finds it with the other
       unknowns.

@@ -110,23 +110,28 @@ def in_rounds(
     return lax.while_loop(lambda outer: any_goes_on(outer[0]), one_round, begin)[0]
 
 
-def shifts(
-    field: Dry, series: Series, modes: Modes, t: Array, hits: Array,
-    v: Array, acceleration: Array,
-) -> tuple[Array, Array]:  # fmt: skip
-    """One more Newton step to the events: a shift by rounding, with the full derivative.
+def shifts(field: Dry, series: Series, modes: Modes, t: Array, hits: Array) -> tuple[Array, Array]:
+    """One more step to the events, of third order: a shift by rounding, for its derivatives.
 
-    (the shift of each mass's event, of shape (n,); their mean over those that have one, by
-    which the step is made longer.)  The search itself is not differentiated; this is the
-    implicit function theorem.  `v`, `acceleration`: of the contacts.
+    Of e(t) = 0 the step is -s - e'' s^2 / (2 e') with s = e / e'; its first and second derivatives
+    are those of the root.  (the shift of each mass's event, of shape (n,); their mean over those
+    that have one, by which the step is made longer.)
     """
-    r, drift = value_and_slope(series.r, t)
-    w = v - field.belt_speed
     slides = modes.direction != STICK
-    excess = jnp.where(slides, w, r - jnp.sign(r) * static_limit(field))
-    rate = lax.stop_gradient(jnp.where(slides, acceleration, drift))
+
+    def excess(t: Array) -> tuple[Array, Array]:
+        w, acceleration = value_and_slope(series.w, t)
+        r, drift = value_and_slope(series.r, t)
+        gap = r - jnp.sign(r) * static_limit(field)
+        return jnp.where(slides, w, gap), jnp.where(slides, acceleration, drift)
+
+    gap, rate = excess(t)
+    bend = jax.jvp(lambda t: excess(t)[1], (t,), (jnp.ones_like(t),))[1]
     usable = hits & (rate != 0)
-    each = jnp.where(usable, -excess, 0.0) / jnp.where(usable, rate, 1.0)
+    rate = jnp.where(usable, rate, 1.0)
+    newton = change_alone(jnp.where(usable, -gap, 0.0) / rate)
+    # The derivative of e'' / e' meets s^2 = 0.
+    each = newton - 0.5 * lax.stop_gradient(bend / rate) * newton**2
     mean = jnp.sum(each) / jnp.maximum(jnp.sum(usable), 1)
     return jnp.where(usable, each, mean), mean
 
@@ -381,18 +386,15 @@ class EventDrivenPlan(AbstractPlan):
         length = jnp.where(until < length, until, length)
         meets = (length >= left) & ~jnp.any(hits)
 
+        # Rounding, and so only its derivatives are computed.
+        lengths = spread(length, before[0])
+        of_events, shift = shifts(field, series, modes, lengths, hits)
+        length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         # Each is computed once: see `materialize`.
         d, place = len(series.x), field.contact
-        lengths = spread(length, before[0])
         x = [materialize(value(part, lengths), flat=True) for part in series.x]
         v, slopes = zip(*[value_and_slope(part, lengths) for part in series.v], strict=True)
         v = [materialize(part, flat=True) for part in v]
-        here = v[place - d], slopes[place - d]
-        # Rounding, and so only its derivatives are computed.
-        of_events, shift = shifts(field, series, modes, length, hits, *here)
-        x = [a + change_alone(shift * b) for a, b in zip(x, v, strict=True)]
-        v = [a + change_alone(shift * b) for a, b in zip(v, slopes, strict=True)]
-        length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         t1 = t0 + length
         state, new, free = after(field, t1, (*x, *v), modes, hits, length > 0)
         gains = head_start(field, t1, state, modes, new, hits, shift - of_events)

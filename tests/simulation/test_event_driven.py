@@ -311,6 +311,23 @@ def test_derivatives_pass_through_events_that_fall_together(coupling, x, t1):
         np.testing.assert_allclose(jacobian[:, i], difference, atol=1e-5)
 
 
+def test_second_derivatives_include_how_the_events_bend():
+    """A mass is released, passes the belt speed and sticks, several times: like differences."""
+    chain = paper_chain(1, belt_speed=1.2, width=None)
+
+    def end(numbers):
+        changed = chain.with_(damping_ratio=numbers[0], belt_speed=numbers[1])
+        run = simulate(changed, equation_8(chain, 1), 12.0, rtol=1e-9)
+        return run.state[0][0] + run.state[1][0]
+
+    at, step, gradient = jnp.array([0.05, 1.2]), 1e-5, jax.jit(jax.grad(end))
+    differences = [
+        (gradient(at.at[i].add(step)) - gradient(at.at[i].add(-step))) / (2 * step)
+        for i in range(2)
+    ]
+    np.testing.assert_allclose(jax.jit(jax.hessian(end))(at), differences, rtol=1e-5)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("ulps", [-2, -1, 0, 1, 2])
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
