@@ -217,7 +217,7 @@ def test_a_cell_has_the_exponents_of_the_same_mass_as_a_chain():
     cell = MechanicalCells(1.0, damping=0.1, friction=friction, belt_speed=1.5)
     start = jnp.array([2.2]), jnp.zeros(1)
     fine: dict[str, Any] = {"max_step": 0.02, "rtol": 1e-9, "interval": 5.0}
-    for how, accuracy in (({}, 0.05), (fine, 1e-4)):
+    for how, accuracy in (({}, 1e-3), (fine, 1e-4)):
         chain, found = (
             lyapunov_spectrum(one, start, 60.0, transient=30.0, blocks=2, **how)
             for one in (paper_chain(1, 1.5, width=1e-2), cell)
@@ -225,6 +225,14 @@ def test_a_cell_has_the_exponents_of_the_same_mass_as_a_chain():
         np.testing.assert_allclose(found.exponents, chain.exponents, rtol=1e-5, atol=1e-8)
         assert found.exponents[1] < -3.0
         assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=accuracy)
+
+
+@pytest.mark.parametrize("how", [{}, {"interval": 1.0}])
+def test_the_sum_is_the_mean_divergence_for_a_narrow_width(how):
+    """With steps as long as the orbit allows it is 18 % off: they contract by a wrong number."""
+    chain, start = paper_chain(1, 1.5, width=3e-3), (jnp.array([2.2]), jnp.zeros(1))
+    found = lyapunov_spectrum(chain, start, 100.0, transient=50.0, blocks=5, **how)
+    assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=1e-3)
 
 
 @pytest.mark.parametrize("width", [None, 0.1])
