@@ -652,6 +652,9 @@ def measure_exponents(
         trial.evidence.exponent_time = time
         trial.evidence.time += (1.0 + _SETTLE) * time
         trial.state = tuple(part[k] for part in spectra.state)
+        trial.outcome = NAMES[code(spectra.result)[k]]
+        if not ended_well(trial.outcome):  # its exponents are NaN, however long it runs
+            trial.evidence.kind = trial.outcome
 
 
 # An exponent within this number of its errors counts as zero.

@@ -393,6 +393,28 @@ def test_a_cell_whose_first_number_rests_is_not_at_rest():
     np.testing.assert_allclose(longer.lead.exponents[2], -1.0593770, rtol=1e-4)
 
 
+class Rooted(AbstractCells):
+    """Two free masses of other frequencies, and a number at rest whose rate has no derivative."""
+
+    components = ("x", "v", "y", "w", "z")
+
+    def rate(self, t, left, own, right):
+        x, v, y, w, z = own
+        return v, -x, w, -2.0 * y, -jnp.sqrt(jnp.abs(z))
+
+
+@pytest.mark.slow
+def test_a_run_whose_exponents_fail_has_failed():
+    """It never closes, and no longer run would tell: only its disturbances are NaN."""
+    found = verdict(
+        Rooted(), tuple(jnp.array([[1.0], [0.0], [0.5], [0.0], [0.0]])), noise=(), first=400.0,
+        longest=400.0, exponent_time=50.0, window=20.0, solver=dfx.Tsit5(),
+    )  # fmt: skip
+    assert (found.verdict, found.runs[0].kind) == ("failed", "nonfinite")
+    assert "`nonfinite`" in found.remedy
+    assert "nan" not in found.reason
+
+
 class InUnits(AbstractCells):
     """Van der Pol's oscillator with velocities, and times, in other units."""
 
