@@ -217,24 +217,33 @@ def test_the_lyapunov_coefficient_is_that_of_one_mass(damping):
     assert (damping < MEETING[1]) == (float(known) > 0)
 
 
+class Slaved(AbstractCells):
+    """z' = (a + i) z + b |z|^2 z with y' = c y + R, so that y = -R / c along changes l1."""
+
+    a: jax.Array
+    b: jax.Array
+    c: jax.Array
+
+    def rate(self, t, left, own, right):
+        x, v, y = own
+        R = x**2 + v**2
+        grows = self.a + self.b * R + y
+        return grows * x - v, grows * v + x, self.c * y + R
+
+
 def test_the_lyapunov_coefficient_of_several_numbers_is_that_of_the_normal_form():
-    """z' = (a + i) z + b |z|^2 z has l1 = b / |q|^2 scale 1; a third, fast number y adds to it."""
-
-    class Slaved(AbstractCells):
-        """y' = -4 y + x^2 + ..., so that y = R / 4 along and l1 changes by the middle term."""
-
-        a: jax.Array
-        b: jax.Array
-
-        def rate(self, t, left, own, right):
-            x, v, y = own
-            R = x**2 + v**2
-            grows = self.a + self.b * R + y
-            return grows * x - v, grows * v + x, -4.0 * y + R
-
-    point = find_hopf_point(Slaved(*numbers(0.1, -1.0)), "a", at_rest(3))
+    """It is b / |q|^2 at scale 1; the fast number y adds to it by the middle term."""
+    point = find_hopf_point(Slaved(*numbers(0.1, -1.0, -4.0)), "a", at_rest(3))
     # z = sqrt(2) w in the coordinates of <q, q> = 1, and R = 2 |w|^2: (b + 1/4) 2 |w|^2 / 1.
     assert float(point.lyapunov_coefficient) == pytest.approx(2.0 * (-1.0 + 0.25), rel=1e-12)
+
+
+def test_a_lyapunov_coefficient_that_jumps_through_infinity_is_no_special_point():
+    """2 (b - 1 / c) changes its sign at c = 0, and is zero at c = 1 / b alone."""
+    point = find_hopf_point(Slaved(*numbers(0.1, -1.5, -0.5)), "a", at_rest(3))
+    (zero,) = continue_special(point, "c", bounds={"c": (-1.0, 1.0)}).of_kind("generalised Hopf")
+    assert zero.second == pytest.approx(-1.0 / 1.5, abs=1e-9)
+    assert np.isfinite(zero.error)
 
 
 def test_modes_that_cross_together_have_no_lyapunov_coefficient():
