@@ -97,8 +97,8 @@ class CyclePoint(Printed):
     branch of less symmetric cycles crosses); "branch point" (the same without a symmetry); "period
     doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `state` (of a chain `x`
     and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
-    whether the search converged; `error`: of `parameter`, from the search and from the
-    integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
+    whether the search converged, with a known error; `error`: of `parameter`, from the search and
+    from the integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
     `shooting`; `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along
     which other branches leave, one of each class of conjugate ones.
 
@@ -160,7 +160,8 @@ def refined(
         if tight is None:
             return replace(raw, refined=False, error=np.inf)
         integration = np.inf if loose is None else abs(tight.p - loose.p)
-        return replace(tight, error=tight.error + integration)
+        error = tight.error + integration
+        return replace(tight, refined=tight.refined and bool(np.isfinite(error)), error=error)
 
     return search
 

@@ -8,14 +8,17 @@ from scipy.integrate import solve_ivp
 
 from jaxchain import paper_chain
 from jaxchain.boundaries.fold import find_fold
+from jaxchain.cycles import branches
 from jaxchain.cycles.branches import (
     CycleLinearisation,
     breaking,
     continue_cycle,
+    cycle_weights,
     doubling,
     encircling,
     linearise,
     on_the_circle,
+    refined,
     switch_cycle,
     symmetry_breaking_basis,
 )
@@ -70,6 +73,17 @@ def test_a_branch_goes_round_its_fold_and_ends_in_the_hopf_point(branch):
     assert branch.ended == "stopped"
     assert "vanishes" in branch.message
     assert np.all(branch.v[:, 0] > 0)
+
+
+def test_a_point_without_a_known_error_is_not_refined(branch, monkeypatch):
+    """The search at the looser tolerance, whose difference is the error, finds nothing."""
+    fold = branch.of_kind("fold")[0].raw
+    found = iter([fold, None])
+    monkeypatch.setattr(branches, "_located", lambda *_: next(found))
+    again = refined(branch.shooting, cycle_weights(branch.shooting, 1.0), 1e-9, {})(fold)
+    assert fold.refined
+    assert not again.refined
+    assert np.isinf(again.error)
 
 
 def test_stability_changes_at_the_fold_alone(branch):
