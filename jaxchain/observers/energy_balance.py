@@ -64,8 +64,8 @@ _STUCK = 1e-9
 class EnergyBalance(AbstractObserver):
     """(work of the belt, energy lost to friction and damping, growth of the stored energy).
 
-    For a `Chain`, by Gauss's rule of three points in every step, which is more accurate than the
-    interpolation.
+    For a `Chain`, by Gauss's rule in every step, of three points and of five in the long steps of
+    dry friction, which is more accurate than the interpolation.
 
     **Value:** shape (3,), in units of (P/k)^2 k; the first is the sum of the others, within the
     errors of the run.
@@ -106,7 +106,8 @@ class EnergyBalance(AbstractObserver):
             work = jnp.sum((v - w) * force)
             return jnp.stack([work, jnp.sum(damping * v - force * w)])
 
-        return gained + step.integral(powers, 3), start, _stored(field, *step.y1)
+        points = 3 if step.rates is None else 5
+        return gained + step.integral(powers, points), start, _stored(field, *step.y1)
 
     def finite(self, accumulator: Any) -> Bool[Array, ""]:
         return all_finite(accumulator)
