@@ -132,8 +132,7 @@ class Amplitude(AbstractObserver):
         watching = counts if always else counts & (step.t1 > acc.last_window)
 
         def with_peaks() -> tuple[Array, Array]:
-            turns, theta = step.turning_points()
-            low, high = acc.low, acc.high
+            low, high, start = acc.low, acc.high, 0.0
             if not always:
                 # The step in which the window begins counts from that time.
                 opens = watching & (step.t0 <= acc.last_window)
@@ -141,10 +140,10 @@ class Amplitude(AbstractObserver):
                 start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
                 first = step.displacement(start)
                 low, high = jnp.where(opens, first, low), jnp.where(opens, first, high)
-                turns = turns & (theta >= start)
-            extreme = jnp.where(turns, step.displacement(theta), end)
-            low = jnp.minimum(low, jnp.minimum(extreme, end))
-            high = jnp.maximum(high, jnp.maximum(extreme, end))
+            for turns, theta in step.all_turning_points():
+                extreme = jnp.where(turns & (theta >= start), step.displacement(theta), end)
+                low = jnp.minimum(low, jnp.minimum(extreme, end))
+                high = jnp.maximum(high, jnp.maximum(extreme, end))
             return jnp.where(watching, low, acc.low), jnp.where(watching, high, acc.high)
 
         # One branch for the whole batch, and nothing else before the first window.

@@ -22,6 +22,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._computed_once import flatten
 from .._final import final
+from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells, AbstractField
 from ..model.oscillators import AbstractOscillators
@@ -144,26 +145,55 @@ class Step(eqx.Module):
         maximum is a corner.  Where it jumps to zero, as the acceleration of a mass that starts to
         stick, there is none.
         """
-        (_, first), (_, last) = self.at_ends()
-        inside = (first > 0) & (last <= 0)
-        corner = (last > 0) & (self.rate_after() < 0)
-        return inside | corner, self._zero(inside, first, last)
+        before, *_, after = 2 * self._spans()  # the same one if there is only one
+        # It falls through zero in one span at most.
+        late = (after[1] > 0) & (after[3] <= 0)
+        span = [jnp.where(late, b, a) for a, b in zip(before, after, strict=True)]
+        inside = late | (before[1] > 0) & (before[3] <= 0)
+        corner = (after[3] > 0) & (self.rate_after() < 0)
+        return inside | corner, self._zero(inside, *span)
 
     def turning_points(self) -> tuple[Bool[Array, " n"], Float[Array, " n"]]:
-        """(which masses turn within the step, at which theta).
+        """(which masses turn within the step, at which theta), the first time if they do twice.
 
         Secant for the zero of the velocity, then two Newton steps on the interpolant; the
         displacement there is accurate to second order in the error of theta.
         """
-        (_, v0), (_, v1) = self.at_ends()
-        turns = (v0 > 0) & (v1 <= 0) | (v0 < 0) & (v1 >= 0)
-        return turns, self._zero(turns, v0, v1)
+        (turns, theta), *later = self.all_turning_points()
+        for again, then in later:
+            turns, theta = turns | again, jnp.where(turns, theta, then)
+        return turns, theta
 
-    def _zero(self, turns: Array, first: Array, last: Array) -> Array:
+    def all_turning_points(self) -> list[tuple[Bool[Array, " n"], Float[Array, " n"]]]:
+        """`turning_points`, and those at which a velocity of an event-driven step turns again."""
+        found = []
+        for low, first, high, last in self._spans():
+            turns = (first > 0) & (last <= 0) | (first < 0) & (last >= 0)
+            found.append((turns, self._zero(turns, low, first, high, last)))
+        return found
+
+    def _spans(self) -> list[tuple[Any, Array, Any, Array]]:
+        """Parts of the step in which the velocity has one zero at most, each with its two ends.
+
+        (theta, velocity, theta, velocity).  An event-driven step may be so long that an
+        acceleration goes through zero and back, or starts from zero after sticking.
+        """
+        (_, first), (_, last) = self.at_ends()
+        if self._velocity_rates() is None:
+            return [(0.0, first, 1.0, last)]
+        theta, between = return_point(self.frozen().velocity, *lax.stop_gradient((first, last)))
+        return [(0.0, first, theta, between), (theta, between, 1.0, last)]
+
+    def _zero(self, turns: Array, low: Any, first: Array, high: Any, last: Array) -> Array:
         """The theta at which the velocity is zero, for those that turn; 1 for the others."""
-        bends = self._velocity_rates() is not None  # the acceleration
-        theta = zeros(self.velocity, turns, first, last, elsewhere=1.0, certain=bends)
-        return lax.stop_gradient(theta)
+        if self._velocity_rates() is None:
+            theta = zeros(self.velocity, turns, first, last, elsewhere=1.0)
+            return lax.stop_gradient(theta)
+        first, last = lax.stop_gradient((first, last))
+        return zeros(
+            self.frozen().velocity, turns, first, last,
+            elsewhere=1.0, certain=True, low=low, high=high,
+        )  # fmt: skip
 
     def time(self, theta: Any) -> Array:
         """The time t0 + theta (t1 - t0), of the shape of theta."""
@@ -208,25 +238,63 @@ def zeros(
     *,
     elsewhere: float,
     certain: bool = False,
+    low: Any = 0.0,
+    high: Any = 1.0,
 ) -> Float[Array, "*masses"]:
-    """The theta in [0, 1] at which function(theta) is zero where it `crosses`, mass by mass.
+    """The theta in [low, high] at which function(theta) is zero where it `crosses`, mass by mass.
 
-    It uses the secant through both ends, then two Newton steps.  If `certain`, eight steps, each
-    of which stays between points of different signs: for functions that bend strongly.
+    `first` and `last` are the values at `low` and `high`.  It uses the secant through both ends,
+    then two Newton steps.  If `certain`, up to eight steps, each of which stays between points
+    of different signs, without derivatives: for functions that bend strongly.
     """
-    theta = flatten(jnp.where(crosses, first / jnp.where(crosses, first - last, 1.0), elsewhere))
-    low, high = 0.0, 1.0
-    for _ in range(8 if certain else 2):
+    share = first / jnp.where(crosses, first - last, 1.0)
+    theta = flatten(jnp.where(crosses, low + (high - low) * share, elsewhere))
+
+    def newton(theta: Array) -> tuple[Array, Array]:
         value, slope = jax.jvp(function, (theta,), (jnp.ones_like(theta),))
         slope = jnp.where(slope == 0, 1.0, slope)
-        new = theta - jnp.where(crosses, value / slope, 0.0)
-        if certain:
-            same = (value > 0) == (first > 0)
-            low, high = jnp.where(same, theta, low), jnp.where(same, high, theta)
-            outside = crosses & ((new < low) | (new > high))
-            new = jnp.where(outside, 0.5 * (low + high), new)
-        theta = flatten(jnp.clip(new, 0.0, 1.0))
-    return theta
+        return value, theta - jnp.where(crosses, value / slope, 0.0)
+
+    if not certain:
+        for _ in range(2):
+            theta = flatten(jnp.clip(newton(theta)[1], 0.0, 1.0))
+        return theta
+
+    # A loop, because many copies of a series take seconds to compile.
+    def goes_on(carry: tuple[Any, ...]) -> Array:
+        count, moves, *_ = carry
+        return (count < 8) & unvmap_any(moves)
+
+    def nearer(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        count, _, low, theta, high = carry
+        value, new = newton(theta)
+        same = (value > 0) == (first > 0)
+        low, high = jnp.where(same, theta, low), jnp.where(same, high, theta)
+        new = jnp.where((new < low) | (new > high), 0.5 * (low + high), new)
+        new = jnp.where(crosses, new, theta)
+        return count + 1, jnp.abs(new - theta) > 1e-12, low, new, high
+
+    low, high = (jnp.broadcast_to(edge, theta.shape) for edge in (low, high))
+    return lax.while_loop(goes_on, nearer, (jnp.zeros((), int), crosses, low, theta, high))[3]
+
+
+def return_point(
+    function: Callable[[Any], Array], first: Float[Array, "*masses"], last: Float[Array, "*masses"]
+) -> tuple[Float[Array, "*masses"], Float[Array, "*masses"]]:
+    """(theta, value) of the extreme between two ends of the same sign that is nearest to zero.
+
+    Those of the end, 1 and `last`, where there is none.  If the extreme has the other sign, the
+    function is zero before and after it.  `first` may also be zero: then it is after it only.
+    """
+
+    def slope(theta: Any) -> Array:
+        return jax.jvp(function, (theta,), (jnp.ones_like(theta),))[1]
+
+    begins, ends = slope(jnp.zeros_like(first)), slope(jnp.ones_like(first))
+    sign = jnp.sign(last)
+    returns = (first * last >= 0) & (sign * begins < 0) & (sign * ends > 0)
+    theta = zeros(slope, returns, begins, ends, elsewhere=1.0, certain=True)
+    return theta, jnp.where(returns, function(theta), last)
 
 
 @final

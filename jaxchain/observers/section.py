@@ -21,6 +21,7 @@ from .base import (
     Variable,
     all_finite,
     renamed,
+    return_point,
     states_at_times,
     zeros,
 )
@@ -161,12 +162,22 @@ class AbstractSection(AbstractObserver):
         times, *kept, level, count = accumulator
         first = self._slope(step, 0.0, step.y0)
         last = self._slope(step, 1.0, step.y1)
+        bracket = jnp.zeros(()), first, jnp.ones(()), last
         peaks = (first > 0) & (last <= 0)
+        between = last
+        if step.rates is not None and self.of == "velocity":
+            fixed = step.frozen()
+            slope = lambda theta: self._slope(fixed, theta, fixed.y0)  # noqa: E731
+            middle, between = return_point(slope, *lax.stop_gradient((first, last)))
+            again = (between > 0) & (last <= 0)
+            peaks = again | ((first > 0) & (between <= 0))
+            parts = (middle, between, *bracket[2:]), (*bracket[:2], middle, between)
+            bracket = tuple(jnp.where(again, b, a) for b, a in zip(*parts, strict=True))
         if self.of == "displacement":
             velocity = lambda theta: step.velocity(theta)[self.oscillator]  # noqa: E731
             theta = lax.stop_gradient(zeros(velocity, peaks, first, last, elsewhere=1.0))
         else:
-            theta = self._fastest(step, peaks, first, last)
+            theta = self._fastest(step, peaks, *bracket)
         after = self._slope_after(step, last)
         hit = peaks | ((last > 0) & (after < 0))  # a corner
         stops = (last > 0) & (after == 0)
@@ -174,8 +185,8 @@ class AbstractSection(AbstractObserver):
             late = step.time(theta) >= self.start
             hit, stops = hit & late, stops & late
         # A mass that starts to stick may be at a maximum, which counts once it falls from there.
-        falls = level & (last < 0)
-        level = stops | (level & (last == 0))
+        falls = level & (between < 0)
+        level = stops | (level & (between == 0))
         here = (hit | stops) & (jnp.arange(self.capacity) == count)
         # Once, not once for every row.
         state = [materialize(part) for part in step.state(theta)]
@@ -202,7 +213,9 @@ class AbstractSection(AbstractObserver):
             return last
         return step.field.belt_direction() * step.rates.after[step.component][self.oscillator]
 
-    def _fastest(self, step: Step, peaks: Array, first: Array, last: Array) -> Array:
+    def _fastest(
+        self, step: Step, peaks: Array, low: Array, first: Array, high: Array, last: Array
+    ) -> Array:
         """By the Illinois rule: the value at an end that stays twice is halved."""
 
         def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
@@ -215,7 +228,7 @@ class AbstractSection(AbstractObserver):
             side = jnp.where(rises, 1, -1)
             return jnp.where(rises, theta, a), fa, jnp.where(rises, b, theta), fb, side
 
-        whole = jnp.zeros(()), first, jnp.ones(()), last, jnp.zeros((), int)
+        whole = low, first, high, last, jnp.zeros((), int)
         trials = jnp.where(peaks, _TRIALS, 0)
         a, fa, b, fb, _ = lax.fori_loop(0, trials, nearer, whole)
         return jnp.where(peaks, a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0), 1.0)

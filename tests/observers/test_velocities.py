@@ -1,7 +1,46 @@
 """Velocities and energies of dry runs, whose steps are long."""
 
-from jaxchain import equation_8, paper_chain, simulate
+import jax.numpy as jnp
+import numpy as np
+
+from jaxchain import Amplitude, Coulomb, PeakTimes, Section, equation_8, paper_chain, simulate
+from jaxchain.model import MechanicalCells
 from jaxchain.observers import EnergyBalance
+
+
+def observed(force, belt_speed, t1, window):
+    """Of one mass without stiffness, v' = force cos(t) - sign(w), from rest."""
+    cells = MechanicalCells(
+        0.0, friction=Coulomb(1.0), belt_speed=belt_speed, force=force, frequency=1.0
+    )
+    watch = [
+        Amplitude(window=window, component=1),
+        PeakTimes(capacity=4, start=t1 - window, component=1),
+        Section(0, capacity=4, start=t1 - window, of="velocity"),
+    ]
+    start = jnp.zeros(1), jnp.zeros(1)
+    amplitude, peaks, section = simulate(cells, start, t1, rtol=1e-9, observe=watch).observed
+    return float(amplitude[0]), peaks[:, 0], section[0]
+
+
+def test_a_mass_is_fastest_in_the_step_after_its_release():
+    """Each half turn it is released where |cos t| = 1 / 1.01, and fastest soon afterwards."""
+    late = np.arccos(1 / 1.01)
+    amplitude, *both = observed(1.01, 0.0, 16.0, 7.0)
+    assert abs(amplitude - 2 * (1.01 * np.sin(late) - late)) < 1e-10
+    for times in both:
+        np.testing.assert_allclose(times[0], 4 * np.pi + late, atol=1e-8)
+        assert np.isnan(times[1])
+
+
+def test_a_velocity_may_turn_twice_within_a_step():
+    """From 3 to 3.3 the acceleration is negative only for |t - pi| < 0.1."""
+    early = np.arccos(1 / 1.005)
+    amplitude, *both = observed(1.005, 9.0, 3.3, 0.3)
+    assert abs(amplitude - (1.005 * np.sin(early) - early)) < 1e-10
+    for times in both:
+        np.testing.assert_allclose(times[0], np.pi - early, atol=1e-8)
+        assert np.isnan(times[1])
 
 
 def test_energies_balance_as_far_as_the_motion_is_exact():
