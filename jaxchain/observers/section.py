@@ -125,8 +125,9 @@ class PeakTimes(AbstractNotingObserver):
         return renamed(times, chain, self.component)
 
 
-# Trials to locate a greatest velocity: regula falsi gains a digit or two with each.
-_TRIALS = 6
+# Trials to locate a greatest velocity: regula falsi gains a digit or two with each, but few at
+# first if the velocity is least just before.
+_TRIALS = 12
 
 
 class AbstractSection(AbstractObserver):
