@@ -20,7 +20,7 @@ def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
         if sign == 0.0 and (released or abs(force(t, *y)) > limit):
             sign = np.sign(force(t, *y))
 
-        def rate(t: Any, y: Any, slides: Any = sign) -> Any:
+        def motion(t: Any, y: Any, slides: Any = sign) -> Any:
             friction = law(slides * y[1]) * slides if slides else force(t, *y)
             return y[1], force(t, *y) - friction
 
@@ -31,8 +31,8 @@ def integrate(force, law, limit, start, t1, corners=(), max_step=0.01):
         for event in events:
             event.terminal = True
         events[0].direction = -1
-        piece = solve_ivp(
-            rate, (t, t1), y, "DOP853", rtol=1e-12, atol=1e-13, max_step=max_step,
+        piece: Any = solve_ivp(
+            motion, (t, t1), y, "DOP853", rtol=1e-12, atol=1e-13, max_step=max_step,
             events=events, dense_output=True,
         )  # fmt: skip
         pieces.append((piece, sign))
