@@ -230,6 +230,10 @@ def gauss(points: int) -> tuple[Float[Array, " points"], Float[Array, " points"]
     return jnp.asarray(0.5 * (nodes + 1.0)), jnp.asarray(0.5 * weights)
 
 
+# Newton's steps to a zero: halving alone finds it to rounding.
+_MOST_STEPS = 60
+
+
 def zeros(
     function: Callable[[Any], Array],
     crosses: Bool[Array, "*masses"],
@@ -244,7 +248,7 @@ def zeros(
     """The theta in [low, high] at which function(theta) is zero where it `crosses`, mass by mass.
 
     `first` and `last` are the values at `low` and `high`.  It uses the secant through both ends,
-    then two Newton steps.  If `certain`, up to eight steps, each of which stays between points
+    then two Newton steps.  If `certain`, as many as it takes, each of which stays between points
     of different signs, without derivatives: for functions that bend strongly.
     """
     share = first / jnp.where(crosses, first - last, 1.0)
@@ -263,7 +267,7 @@ def zeros(
     # A loop, because many copies of a series take seconds to compile.
     def goes_on(carry: tuple[Any, ...]) -> Array:
         count, moves, *_ = carry
-        return (count < 8) & unvmap_any(moves)
+        return (count < _MOST_STEPS) & unvmap_any(moves)
 
     def nearer(carry: tuple[Any, ...]) -> tuple[Any, ...]:
         count, _, low, theta, high = carry

@@ -126,8 +126,9 @@ class PeakTimes(AbstractNotingObserver):
 
 
 # Trials to locate a greatest velocity: regula falsi gains a digit or two with each, but few at
-# first if the velocity is least just before.
-_TRIALS = 12
+# first if the velocity is least just before.  They end where the slope is this share of the one at
+# an end of the step.
+_TRIALS, _LEVEL = 60, 1e-14
 
 
 class AbstractSection(AbstractObserver):
@@ -218,20 +219,26 @@ class AbstractSection(AbstractObserver):
         self, step: Step, peaks: Array, low: Array, first: Array, high: Array, last: Array
     ) -> Array:
         """By the Illinois rule: the value at an end that stays twice is halved."""
+        steep = jnp.maximum(jnp.abs(first), jnp.abs(last))
 
-        def nearer(_: Any, bracket: tuple[Array, ...]) -> tuple[Array, ...]:
-            a, fa, b, fb, side = bracket
+        def goes_on(now: tuple[Array, ...]) -> Array:
+            *_, f, count = now
+            return peaks & (jnp.abs(f) > _LEVEL * steep) & (count < _TRIALS)
+
+        def nearer(now: tuple[Array, ...]) -> tuple[Array, ...]:
+            a, fa, b, fb, side, _, count = now
             theta = a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0)
             f = self._slope(step, theta, step.state(theta))
             rises = f > 0
             fa = jnp.where(rises, f, jnp.where(side < 0, 0.5 * fa, fa))
             fb = jnp.where(rises, jnp.where(side > 0, 0.5 * fb, fb), f)
             side = jnp.where(rises, 1, -1)
-            return jnp.where(rises, theta, a), fa, jnp.where(rises, b, theta), fb, side
+            a, b = jnp.where(rises, theta, a), jnp.where(rises, b, theta)
+            return a, fa, b, fb, side, f, count + 1
 
-        whole = low, first, high, last, jnp.zeros((), int)
-        trials = jnp.where(peaks, _TRIALS, 0)
-        a, fa, b, fb, _ = lax.fori_loop(0, trials, nearer, whole)
+        none = jnp.zeros((), int)
+        whole = low, first, high, last, none, steep, none
+        a, fa, b, fb, *_ = lax.while_loop(goes_on, nearer, whole)
         return jnp.where(peaks, a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0), 1.0)
 
     def finite(self, accumulator: tuple[Array, ...]) -> Bool[Array, ""]:
