@@ -248,8 +248,8 @@ def zeros(
     """The theta in [low, high] at which function(theta) is zero where it `crosses`, mass by mass.
 
     `first` and `last` are the values at `low` and `high`.  It uses the secant through both ends,
-    then two Newton steps.  If `certain`, as many as it takes, each of which stays between points
-    of different signs, without derivatives: for functions that bend strongly.
+    then two Newton steps.  If `certain`, it takes Newton steps until theta no longer changes,
+    each between points of different signs, without derivatives: for functions that bend strongly.
     """
     share = first / jnp.where(crosses, first - last, 1.0)
     theta = flatten(jnp.where(crosses, low + (high - low) * share, elsewhere))

@@ -113,9 +113,11 @@ def in_rounds(
 def shifts(field: Dry, series: Series, modes: Modes, t: Array, hits: Array) -> tuple[Array, Array]:
     """One more step to the events, of third order: a shift by rounding, for its derivatives.
 
-    Of e(t) = 0 the step is -s - e'' s^2 / (2 e') with s = e / e'; its first and second derivatives
-    are those of the root.  (the shift of each mass's event, of shape (n,); their mean over those
-    that have one, by which the step is made longer.)
+    An event is a root of e(t).  The step is -s - e'' s^2 / (2 e') with s = e / e'; it has the first
+    and second derivatives of the root.
+
+    **Returns:** the shift of each mass's event, of shape (n,), and the mean shift of the events,
+    by which the step is made longer.
     """
     slides = modes.direction != STICK
 
