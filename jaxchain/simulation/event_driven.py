@@ -113,8 +113,8 @@ def in_rounds(
 def shifts(field: Dry, series: Series, modes: Modes, t: Array, hits: Array) -> tuple[Array, Array]:
     """One more step to the events, of third order: a shift by rounding, for its derivatives.
 
-    An event is a root of e(t).  The step is -s - e'' s^2 / (2 e') with s = e / e'; it has the first
-    and second derivatives of the root.
+    An event is a root of e(t).  The step is -s - e'' s^2 / (2 e') with s = e / e'; it has the
+    first and second derivatives of the root.
 
     **Returns:** the shift of each mass's event, of shape (n,), and the mean shift of the events,
     by which the step is made longer.
