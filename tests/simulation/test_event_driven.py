@@ -328,6 +328,19 @@ def test_second_derivatives_include_how_the_events_bend():
     np.testing.assert_allclose(jax.jit(jax.hessian(end))(at), differences, rtol=1e-5)
 
 
+def test_the_second_derivative_of_a_passage_through_the_belt_speed():
+    """Friction turns round there: the time of the event counts with its second derivative."""
+    chain, start = paper_chain(1, 0.7, None), (jnp.array([9.0]), jnp.zeros(1))
+
+    def end(damping):
+        run = simulate(chain.with_(damping_ratio=damping), start, 6.0, rtol=1e-9)
+        return run.state[0][0] + run.state[1][0]
+
+    gradient, step = jax.jit(jax.grad(end)), 1e-5
+    difference = (gradient(0.05 + step) - gradient(0.05 - step)) / (2 * step)
+    np.testing.assert_allclose(jax.jit(jax.hessian(end))(0.05), difference, rtol=1e-6)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("ulps", [-2, -1, 0, 1, 2])
 @pytest.mark.parametrize("derivative", [jax.jacfwd, jax.jacrev])
