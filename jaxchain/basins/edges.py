@@ -30,7 +30,7 @@ from ..observers.samples import Samples
 from ..observers.section import Section
 from ..observers.stick_time import StickTime
 from ..result import Outcome, SearchResult, ended_well
-from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, custom_solver
+from ..simulation.method import Method
 from ..simulation.run import MOST_SEGMENTS, simulate
 from .classifiers import AbstractClassifier
 
@@ -539,11 +539,8 @@ def edge_state(
             f"Argument `far` must be at least ten times `near` = {near}, but is {shown(far)}: "
             "the ends of the bracket run on from the one distance to the other."
         )
-    check_tolerances(rtol, None, MAX_STEP)
-    solver = custom_solver(chain, solver)
-    if isinstance(chain, Chain) and not chain.dry:
-        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
-    length, forced = to_float(window), _forced(chain)
+    solver = Method(solver, rtol).checked(chain, quiet[0].size).solver
+    length, forced = to_float(window), chain.forcing_period()
     if forced is not None:
         length = jnp.ceil(length / forced) * forced  # every run starts at the phase 0 of the force
     windows = _count(time, window if is_traced(length) else float(length))
@@ -559,10 +556,6 @@ def edge_state(
         classify=classify,
     )
     return _edge(chain, quiet, vibrating, how)
-
-
-def _forced(chain: AbstractField) -> Any:
-    return None if isinstance(chain, Chain) else chain.forcing_period()
 
 
 def _count(time: Any, window: Any) -> int:
@@ -636,7 +629,7 @@ def _last(
     The run starts from the middle of the bracket.  The first turning point of the mass in question
     is compared with later ones; of forced cells the first state with those after whole periods.
     """
-    forced = _forced(chain)
+    forced = chain.forcing_period()
     section = Section(mass, _RETURNS) if forced is None else Samples(forced, _RETURNS)
     run = simulate(
         chain,

@@ -36,7 +36,6 @@ from ..chaos.classification import verdicts
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
 from ..model.oscillators import AbstractOscillators
-from ..observers.base import component_name
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
 from ..sweeps.lanes import RunStarts, with_numbers
@@ -392,7 +391,7 @@ def to_dataset(
     )
     for k, values in enumerate(starts):
         unit = ("x0", "x0 omega_n")[k] if known else "1"
-        name = component_name(chain, k)
+        name = chain.variable(k).name
         attrs = {"long_name": f"{name} of a start that ends in the state", "units": unit}
         variables[f"start_{name}"] = (*over(values, "state", "oscillator"), attrs)
     if judge:

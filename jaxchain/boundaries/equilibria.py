@@ -40,7 +40,6 @@ from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
 from ..model.parameters import SPEED, Parameter
 from ..model.parameters import parameter as parameter_row
-from ..observers.base import component_name
 from ..result import Outcome, SearchResult
 
 # Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
@@ -500,7 +499,7 @@ def _labels(chain: AbstractField, m: int, name: str) -> Labels:
     """Of a branch of equilibria."""
     known = isinstance(chain, AbstractOscillators)
     row = parameter_row(name) if isinstance(chain, Chain) else Parameter(name, name)
-    names = [component_name(chain, i) for i in range(m)]
+    names = [chain.variable(i).name for i in range(m)]
     units = ["x0", SPEED] if known else ["1"] * m
     parts = {
         a: {"long_name": a if chain.components else f"component {a}", "units": unit}

@@ -55,7 +55,7 @@ from ..model.initial_states import check_mass
 from ..model.parameters import parameter
 from ..model.sliding import damping_outweighs
 from ..result import SEARCH_NAMES, Outcome, SearchResult, code
-from ..simulation.accuracy import fit_linear_solve
+from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from ..sweeps.axes import check_axes, jobs, sizes
 from ..sweeps.lanes import with_numbers

@@ -34,15 +34,13 @@ from .._statistics import mean_interval
 from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractCells, AbstractField
-from ..model.chain import Chain
+from ..model.cells import AbstractField
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
 from ..observers.samples import Samples
 from ..observers.section import PeakTimes, Section
 from ..result import NAMES, Printed, code, ended_well, message
-from ..simulation.accuracy import MAX_STEP, check_resolved, check_tolerances, custom_solver
-from ..simulation.event_driven import EventDriven
+from ..simulation.method import Method
 from ..simulation.run import simulate
 from ..sweeps.programs import map_lanes
 from .lyapunov import LyapunovSpectrum, lyapunov_spectrum
@@ -575,8 +573,8 @@ def _chunk(task: _VerdictTask, t0: Array, reference: Array, *state: Array) -> An
     section, others = Section(reference, MOST_RETURNS + 1), []
     if task.forced is not None:
         section = Samples(task.forced, MOST_RETURNS + 1)
-    if isinstance(task.chain, AbstractCells):
-        others = [Amplitude(component=k) for k in range(1, len(state))]
+    rate = task.chain.velocity_of(0)  # turns where the first variable does
+    others = [Amplitude(component=k) for k in range(1, len(state)) if k != rate]
     watch = Amplitude(), PeakTimes(capacity=task.peaks), section, others
     run = simulate(
         task.chain,
@@ -880,16 +878,13 @@ def verdicts(
     times = (first, "first"), (longest, "longest"), (exponent_time, "exponent_time")
     for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
-    check_tolerances(rtol, None, MAX_STEP)
-    solver = custom_solver(chain, solver)
-    if isinstance(chain, Chain) and not isinstance(solver, EventDriven):
-        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, None)
+    solver = Method(solver, rtol).checked(chain, first_state[0].size).solver
     if np.shape(to_float(noise, "noise", _NOISE)) != (len(np.ravel(noise)),):
         raise ValueError(f"Argument `noise` must be a sequence, but is {shown(noise)}: {_NOISE}")
     check_nonnegative("noise", noise, _NOISE)
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
-    forced = None if isinstance(chain, Chain) else chain.forcing_period()
+    forced = chain.forcing_period()
     if forced is not None:
         # Whole periods, so that every part of a run starts at the phase 0 of the force.
         forced = float(forced)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import diffrax as dfx
@@ -16,7 +17,6 @@ from jaxtyping import Array, Float, Int
 from .._checks import (
     MOST_COUNT,
     as_array,
-    check_count,
     check_flag,
     check_nonnegative,
     check_number,
@@ -37,18 +37,9 @@ from ..model.chain import Chain
 from ..observers.energy_balance import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import NAMES, Printed, Result, code, ended_well, message
-from ..simulation.accuracy import (
-    MAX_STEP,
-    USUAL_RTOL,
-    check_resolved,
-    check_tolerances,
-    choose_solver,
-    custom_solver,
-    default_rtol,
-)
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
+from ..simulation.method import Method
 from ..simulation.plan import AbstractPlan, Progress, forward_only, where
-from ..simulation.run import build_plan
 
 # An exponent this small counts as 0: blocks of a periodic run may scatter by rounding only.
 ZERO = 1e-9
@@ -350,10 +341,11 @@ def lyapunov_spectrum(
     transient: Any = 0.0,
     interval: Any = None,
     blocks: Any = 20,
+    method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
     rtol: Any = None,
     atol: Any = None,
-    max_step: Any = MAX_STEP,
+    max_step: Any = None,
     max_steps: Any = None,
     seed: Any = 0,
     progress: bool = False,
@@ -390,7 +382,7 @@ def lyapunov_spectrum(
       e^-10: costly for small widths.
     - `blocks`: number of equal parts of the window whose means give the errors; each should be
       much longer than the correlation time of the motion.
-    - `solver`, `rtol`, `atol`, `max_step`, `max_steps` (per interval): as for `simulate`.
+    - `method`, or its fields: as for `simulate`; `max_steps` is per interval.
     - `seed`: of the directions at the start.
     - `progress`: show a progress bar.
     - `throw`: raise an error if the run fails (outside of transformations); else read `result`.
@@ -423,15 +415,9 @@ def lyapunov_spectrum(
     """
     as_chain(chain, AbstractField)
     state = as_state(chain, initial)
-    solver = custom_solver(chain, solver)
-    dry = isinstance(solver, EventDriven)
-    if rtol is None:
-        rtol = USUAL_RTOL
-        if isinstance(chain, Chain) and not dry:
-            rtol = default_rtol(chain.n, chain.width, chain.belt_speed)
-    check_tolerances(rtol, atol, max_step)
-    if isinstance(chain, Chain) and not dry:
-        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol)
+    chosen = Method.of(
+        method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
+    ).suited(chain, state[0].shape[0], state)
     check_flag("progress", progress)
     check_flag("throw", throw)
     if not isinstance(seed, jax.Array):
@@ -449,11 +435,10 @@ def lyapunov_spectrum(
         )
     remedy = "errors come from the scatter of their means; 20 is usual."
     check_whole("blocks", blocks, 2, _MOST_BLOCKS, remedy)
-    check_count("max_steps", max_steps)
     dimension = len(state) * state[0].shape[0]
     remedy = "there is an exponent for each number of the state."
     count = dimension if count is None else check_whole("count", count, 1, dimension, remedy)
-    rate = None if dry else _stiffest_rate(chain, state, count)
+    rate = None if chosen.dry else _stiffest_rate(chain, state, count)
     if interval is None:
         interval = _usual_interval(chain, state, count, rate)
     else:
@@ -465,15 +450,10 @@ def lyapunov_spectrum(
                 f"`blocks` = {block:g}, at whose end disturbances are made orthonormal, too: "
                 "lower `interval` or `blocks`, or raise `t1`."
             )
-    if solver is None:
-        tolerance = 1e-6 if is_traced(rtol) else float(rtol)
-        solver = choose_solver(
-            chain, tolerance, MAX_STEP if is_traced(max_step) else float(max_step), state
-        )
     if rate is not None:  # a longer step contracts, but not by the exact number
-        max_step = jnp.minimum(max_step, 1.0 / rate)
-    observer = MostSticking() if dry else Divergence()
-    plan = build_plan(solver, [observer], rtol, 0.1 * rtol if atol is None else atol, max_step, t1)
+        chosen = dataclasses.replace(chosen, max_step=jnp.minimum(chosen.max_step, 1.0 / rate))
+    plan = chosen.plan([MostSticking() if chosen.dry else Divergence()], t1)
+    max_steps = chosen.max_steps
     window = to_float(transient), to_float(t1), to_float(interval)
     waits = is_traced(transient) or float(transient) > 0
     frame, spans = _begin(plan, chain, state, window, seed, count, blocks, waits, max_steps)

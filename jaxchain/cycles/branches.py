@@ -45,9 +45,9 @@ from ..model.oscillators import AbstractOscillators
 from ..model.parameters import SPEED, Parameter, parameter
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import amplitude_variables
-from ..observers.base import component_name, renamed
+from ..observers.base import renamed
 from ..result import Printed
-from ..simulation.accuracy import fit_linear_solve
+from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import (
     as_orbit,
@@ -569,7 +569,7 @@ class CycleBranch(Printed):
         field = self.shooting.field
         units = ["x0", SPEED] if isinstance(field, AbstractOscillators) else ["1"] * len(states)
         for i, (part, unit) in enumerate(zip(states, units, strict=True)):
-            yield component_name(field, i), part, unit
+            yield field.variable(i).name, part, unit
 
     def to_dataset(self) -> Dataset:
         """The branch as an `xarray.Dataset`, with the names and units of those of `sweep`.

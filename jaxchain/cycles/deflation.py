@@ -35,7 +35,7 @@ from ..model.initial_states import reference_site
 from ..observers.samples import Trajectory
 from ..observers.section import Section
 from ..result import Printed, name_of
-from ..simulation.accuracy import MAX_STEP, check_tolerances, fit_linear_solve
+from ..simulation.method import MAX_STEP, check_tolerances, fit_linear_solve
 from ..simulation.run import simulate
 from ..solvers.rosenbrock import Rodas5P
 from .averaging import one_mass

@@ -23,7 +23,7 @@ from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
 from ..observers.quantities import energy
 from ..result import Outcome, SearchResult
-from ..simulation.accuracy import MAX_STEP, check_tolerances, fit_linear_solve
+from ..simulation.method import MAX_STEP, check_tolerances, fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .variational import Period, linearised_period
 

@@ -53,14 +53,14 @@ from ..observers.samples import Trajectory
 from ..observers.section import AbstractSection, Section
 from ..observers.stick_time import MostSticking
 from ..result import SearchResult
-from ..simulation.accuracy import (
+from ..simulation.event_driven import EventDriven
+from ..simulation.method import (
     MAX_STEP,
     check_tolerances,
     choose_solver,
     custom_solver,
     fit_linear_solve,
 )
-from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import start as on_the_belt
 from ..solvers.rosenbrock import Rodas5P

@@ -31,7 +31,7 @@ from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
-from ..simulation.accuracy import MAX_STEP
+from ..simulation.method import MAX_STEP
 from ..simulation.smoothed import SmoothedPlan
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 

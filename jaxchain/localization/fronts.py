@@ -29,7 +29,7 @@ from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
 from ..result import Printed, Result, ended_well
-from ..simulation.accuracy import MAX_STEP, check_span, check_tolerances
+from ..simulation.method import MAX_STEP, check_span, check_tolerances
 from ..simulation.run import MOST_SEGMENTS, simulate
 
 if TYPE_CHECKING:

@@ -16,9 +16,8 @@ from .._checks import (
     shown,
     to_float,
 )
-from .cells import AbstractCells, AbstractField
+from .cells import AbstractField
 from .chain import MAKE_CHAIN, Chain
-from .locality import check_cells, check_local
 from .oscillators import AbstractOscillators
 
 _STATES = "see `excited_state` for initial states."
@@ -44,58 +43,45 @@ def as_state(
     t0: Any = 0.0,
     batch: bool = False,
 ) -> tuple[Float[Array, "*states n"], ...]:
-    """A state (x, v) as floats, both of shape (n,), or (states, n) if it is a `batch`.
+    """A state as floats: m arrays of shape (n,), or (states, n) if it is a `batch`.
 
-    The state of `AbstractCells` is a tuple of as many arrays as `rate` returns.
+    It is the pair (x, v) of a chain and other oscillators, and a tuple of as many arrays as `rate`
+    returns of `AbstractCells`.
 
-    **Raises:** `ValueError` for anything else, for numbers that are not finite, and for other
-    oscillators whose forces are not local there at the time `t0`.
+    **Raises:** `ValueError` for anything else, for numbers that are not finite, and for a model
+    whose forces are not local there at the time `t0`.
     """
-    if isinstance(chain, AbstractCells):
-        return _as_state_of_cells(chain, state, name, t0, batch)
-    if not isinstance(state, tuple | list) or len(state) != 2:
+    names = [variable.name for variable in chain.variables]
+    wanted = f"the tuple ({', '.join(names)})" if names else "a tuple of arrays"
+    n = chain.n
+    size = "(n,)" if n is None else f"({n},)"
+    if (
+        not isinstance(state, tuple | list)
+        or not state
+        or len(state) != (len(names) or len(state))
+    ):
         raise ValueError(
-            f"Argument `{name}` must be the pair (displacement, velocity), but is "
-            f"{shown(state)}: {_STATES}"
+            f"Argument `{name}` must be {wanted}, one array of shape {size} for each variable of "
+            f"`{type(chain).__name__}`, but is {shown(state)}: {_STATES}"
         )
-    parts = zip(("displacement", "velocity"), state, strict=True)
-    x, v = (to_float(value, f"{name} {part}", _STATES) for part, value in parts)
-    n = chain.n if isinstance(chain, Chain) else x.shape[-1] if x.ndim else 0
-    if x.shape != v.shape or x.shape[-1:] != (n,) or x.ndim != 1 + batch or not x.size:
-        masses = "one mass" if n == 1 else f"{n} masses"
-        wanted = f"(states, {n})" if batch else f"({n},): use `jax.vmap` or `sweep` for several"
-        raise ValueError(
-            f"Argument `{name}` has parts of shapes {x.shape} and {v.shape}, but for {masses} "
-            f"displacement and velocity have shape {wanted}."
-        )
-    for part, values in (("displacement", x), ("velocity", v)):
-        check_finite(f"{name} {part}", values, _STATES)
-    if not isinstance(chain, Chain) and not batch:
-        check_local(chain, t0, (x, v))
-    return x, v
-
-
-def _as_state_of_cells(
-    cells: AbstractCells, state: Any, name: str, t0: Any, batch: bool
-) -> tuple[Float[Array, "*states n"], ...]:
-    kind = type(cells).__name__
-    if not isinstance(state, tuple | list) or not state:
-        raise ValueError(
-            f"Argument `{name}` must be a tuple of arrays of shape (n,), one for each number of a "
-            f"cell of `{kind}`, but is {shown(state)}."
-        )
-    parts = tuple(to_float(part, f"{name}[{k}]") for k, part in enumerate(state))
+    labels = [f"{name}[{k}]" for k in range(len(state))]
+    if names:
+        labels = [f"{name} {part}" for part in names]
+    parts = tuple(to_float(a, label, _STATES) for a, label in zip(state, labels, strict=True))
     shapes = {part.shape for part in parts}
-    if len(shapes) > 1 or parts[0].ndim != 1 + batch or not parts[0].size:
-        raise ValueError(
-            f"Argument `{name}` must hold arrays of one shape {'(states, n)' if batch else '(n,)'}"
-            f", one for each number of a cell, but has the shapes {[p.shape for p in parts]}."
+    other = parts[0].shape[-1:] != (n,) and n is not None
+    if len(shapes) > 1 or other or parts[0].ndim != 1 + batch or not parts[0].size:
+        shape = (
+            f"(states, {size[1:-2]})" if batch else f"{size}: use `jax.vmap` or `sweep` for many"
         )
-    for k, part in enumerate(parts):
-        check_finite(f"{name}[{k}]", part)
+        raise ValueError(
+            f"Argument `{name}` has parts of shapes {[part.shape for part in parts]}, but must be "
+            f"{wanted} of shape {shape}."
+        )
+    for part, label in zip(parts, labels, strict=True):
+        check_finite(label, part, _STATES)
     if not batch:
-        cells.dependence(parts)  # raises unless there is a rate for each number
-        check_cells(cells, t0, parts)
+        chain.check_locality(t0, parts)
     return parts
 
 

@@ -22,8 +22,9 @@ from .._checks import check_known, to_float
 from .._final import refuse_overrides
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
-from .friction import AbstractFriction
-from .locality import CELLS_FINAL, Dependence, dependence
+from .friction import AbstractFriction, AbstractFrictionLaw
+from .locality import CELLS_FINAL, Dependence, check_cells, dependence
+from .parameters import Parameter
 from .springs import neighbours
 from .tridiagonal import Entries
 
@@ -43,6 +44,14 @@ class Linearisation(NamedTuple):
     right: Entries
 
 
+class StateVariable(NamedTuple):
+    """One of the m variables of a cell: its name, its unit ("1" if not known), words for it."""
+
+    name: str
+    unit: str = "1"
+    long_name: str = ""
+
+
 class AbstractField(PrintedAsCall, eqx.Module):
     """What all models share: a `Chain`, other `AbstractOscillators`, and `AbstractCells`.
 
@@ -53,10 +62,70 @@ class AbstractField(PrintedAsCall, eqx.Module):
     See `AbstractCells` for an example.
     """
 
-    # None of these is a field unless a subclass makes it one.
-    ends = "cyclic"  # with an annotation it would be the first field of a subclass
+    # None of these is a field unless a subclass makes it one: with an annotation it would be.
+    ends = "cyclic"
+    n = None  # the number of cells; None: any, that of the state
+    time_unit: ClassVar[str] = "1"
     components: ClassVar[tuple[str, ...]] = ()
     contact: ClassVar[int] = 1
+    frictional: ClassVar[bool] = False  # whether it has contacts that `EventDriven` integrates
+
+    @property
+    def variables(self) -> tuple[StateVariable, ...]:
+        """The m variables of a cell; empty if `components` does not name them."""
+        return tuple(StateVariable(name, "1", name) for name in self.components)
+
+    def variable(self, index: int) -> StateVariable:
+        """One of the `variables`; one without a name is called by its index."""
+        known = self.variables
+        named = StateVariable(str(index), "1", f"component {index}")
+        return known[index] if index < len(known) else named
+
+    def velocity_of(self, index: int) -> int | None:
+        """The index of the variable that is the rate of this one; None if there is none."""
+        del index
+
+    def parameter(self, name: str) -> Parameter:
+        """The description of a parameter: words, symbol, unit, domain."""
+        return Parameter(name, name)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """The names of the parameters that may differ from run to run of a sweep."""
+        return tuple(self.numbers())
+
+    def check_parameter(self, name: str, values: Any) -> bool:
+        """Raises `ValueError` for impossible values; False if each must be tried by `with_`."""
+        del name, values
+        return False
+
+    def smallest_scale(self, n: int) -> tuple[PerMass, PerMass] | None:
+        """(eps, |v_d|): the width within which friction turns round, and at which velocity.
+
+        A run that is to stick must resolve eps, by tolerances that are relative to |v_d|.  None if
+        nothing turns round, or if friction is dry.
+        """
+        layer = None if self.dry else self.switching(jnp.zeros(()), jnp.zeros(n))
+        return None if layer is None else (layer[1], jnp.abs(layer[0]))
+
+    def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any] | None:
+        """(law, load, belt speed, mobility) of smoothed friction; None if it is not known.
+
+        The mobility is the velocity amplitude that a unit force at the contact gives, for one mass
+        1 / sqrt(k m).
+        """
+
+    def dependence(self, y: State) -> Dependence | None:
+        """The variables on which each rate depends; None if that is not known."""
+        del y
+
+    def description(self, n: int) -> dict[str, Any]:
+        """What tells this model of n cells from others, for the attributes of a dataset."""
+        return {"n": n, "oscillators": type(self).__name__, **self.numbers()}
+
+    def check_locality(self, t: ScalarLike, y: State) -> None:
+        """Raises `ValueError` if the forces at a state are not those that a solver sees."""
+        del t, y
 
     @abc.abstractmethod
     def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
@@ -119,10 +188,14 @@ class AbstractField(PrintedAsCall, eqx.Module):
                 f"Argument `component` is {component}, but a cell of {type(self).__name__} has "
                 f"{len(y)} numbers, counted from 0."
             )
-        return y[component], self(t, y)[component]
+        velocity = self.velocity_of(component)
+        rate = self(t, y)[component] if velocity is None else y[velocity]
+        return y[component], rate
 
     def second_rate(self, t: ScalarLike, y: State, component: int = 0) -> Float[Array, " n"]:
         """y_i'', the rate of y_i' along the motion."""
+        if (index := self.velocity_of(component)) is not None:
+            return self(t, y)[index]
 
         def velocity(t: Any, y: State) -> Array:
             return self(t, y)[component]
@@ -142,12 +215,12 @@ class AbstractField(PrintedAsCall, eqx.Module):
     def with_(self, **changes: Any) -> Any:
         """A copy with other numbers, by the names of fields, checked as those of a new one."""
         field, known = self, self.numbers()
-        if self._given_friction is not None:
-            numbers = {k: changes.pop(k) for k in self._given_friction.numbers() if k in changes}
+        if self.given_friction is not None:
+            numbers = {k: changes.pop(k) for k in self.given_friction.numbers() if k in changes}
             if "width" in changes and "width" not in known:  # smooths dry friction
                 numbers["width"] = changes.pop("width")
             if numbers:
-                friction = self._given_friction.with_(**numbers)
+                friction = self.given_friction.with_(**numbers)
                 field = eqx.tree_at(lambda f: f.friction, field, friction)
         converters = {f.name: f.metadata.get("converter", to_float) for f in fields(self)}
         check_known(f"`{type(self).__name__}.with_`", changes, known)
@@ -169,7 +242,7 @@ class AbstractField(PrintedAsCall, eqx.Module):
         return name
 
     @property
-    def _given_friction(self) -> AbstractFriction | None:
+    def given_friction(self) -> AbstractFriction | None:
         """The field `friction` if it is a law or a smoothed one, whose numbers are the model's."""
         friction = vars(self).get("friction")
         return friction if isinstance(friction, AbstractFriction) else None
@@ -181,11 +254,11 @@ class AbstractField(PrintedAsCall, eqx.Module):
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields, and the numbers of the field `friction`, by name."""
-        friction = {} if self._given_friction is None else self._given_friction.numbers()
+        friction = {} if self.given_friction is None else self.given_friction.numbers()
         arrays = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
         if taken := sorted(friction.keys() & arrays.keys()):
             raise ValueError(
-                f"Friction law `{type(self._given_friction).__name__}` cannot have the field "
+                f"Friction law `{type(self.given_friction).__name__}` cannot have the field "
                 f"`{taken[0]}`, which is the name of a number of {type(self).__name__}: rename it."
             )
         return {**friction, **arrays}
@@ -247,6 +320,11 @@ class AbstractCells(AbstractField):
     def structured(self) -> bool:
         """Whether structured solvers apply."""
         return True
+
+    def check_locality(self, t: ScalarLike, y: State) -> None:
+        """Raises `ValueError` unless `rate` gives a rate for each variable, cell by cell."""
+        self.dependence(y)
+        check_cells(self, t, y)
 
     def dependence(self, y: State) -> Dependence:
         """The numbers on which each rate depends, see `Dependence`."""

@@ -38,7 +38,7 @@ from .friction import (
     spread_friction,
 )
 from .oscillators import AbstractOscillators
-from .parameters import CHAIN, SPEED, parameter
+from .parameters import CHAIN, SPEED, Parameter, parameter
 from .springs import Ends, Springs
 from .tabulated import TabulatedFriction
 from .tridiagonal import exact_solver
@@ -102,6 +102,7 @@ class Chain(AbstractOscillators):
     normal_load: Array | None
     springs: Springs | None
     n: int = eqx.field(static=True)
+    frictional = True
 
     def __init__(
         self,
@@ -239,6 +240,49 @@ class Chain(AbstractOscillators):
         """p: one number or one per mass, 1 where none is given."""
         return jnp.ones(()) if self.normal_load is None else self.normal_load
 
+    def parameter(self, name: str) -> Parameter:
+        """The row of `jaxchain.model.parameters`; of a law of your own the name alone."""
+        return parameter(name)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """All but `coupling` of a chain without springs."""
+        names = [name for name in CHAIN if name != "coupling" or self.springs is not None]
+        return *names, *self.friction.numbers()
+
+    def check_parameter(self, name: str, values: Any) -> bool:
+        """Checks those of the chain; numbers of a law may depend on each other."""
+        if name in CHAIN:
+            chain_number(name, values)
+        return name in CHAIN
+
+    def smallest_scale(self, n: int) -> tuple[PerMass, PerMass] | None:
+        """(eps, |v_d|); None with dry friction."""
+        del n
+        return None if self.dry else (self.width, jnp.abs(self.belt_speed))
+
+    def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any]:
+        """With a mobility of 1, that of the nominal mass."""
+        return self.law, self.load, self.belt_speed, 1.0
+
+    def description(self, n: int) -> dict[str, Any]:
+        """All that `Chain` needs to build this chain again, see `chain_of`."""
+        about = {
+            "n": n,
+            "ends": self.ends,
+            **_chain_numbers(self),
+            "friction_law": type(self.law).__name__,
+            **self.friction.numbers(),
+            "width": self.numbers().get("width"),
+        }
+        if isinstance(self.law, TabulatedFriction):
+            about["friction_table"] = self.law.table
+        return about
+
+    def check_locality(self, t: ScalarLike, y: State) -> None:
+        """Nothing: the forces of a chain act mass by mass."""
+        del t, y
+
     def local_force(
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> Float[Array, " n"]:
@@ -278,6 +322,15 @@ class Chain(AbstractOscillators):
     def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """r = -2 xi v - K x, the force on a mass without friction."""
         return self.restoring_force(x) - 2.0 * self.damping_ratio * v
+
+    def compliance(self) -> list[Any]:
+        """[1]: the acceleration of a mass by a unit force at its contact."""
+        return [1.0]
+
+    def free_accelerations(self, t: ScalarLike, y: State) -> tuple[Float[Array, " n"], ...]:
+        """The accelerations without friction, (r,)."""
+        del t
+        return (self.free_force(*y),)
 
     def growth_time(self) -> ScalarLike:
         """1 / (2 |xi|) where damping is negative, infinite elsewhere."""

@@ -129,6 +129,17 @@ class MechanicalCells(AbstractCells):
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
     names: tuple[str, ...] | None = eqx.field(static=True, default=None)
+    n: int | None = eqx.field(static=True, default=None)
+
+    def __post_init__(self) -> None:
+        if self.n is None:  # known from a matrix for each cell, or a load or law for each
+            matrices = (self.stiffness, self.mass, self.damping, self.coupling)
+            counts = [np.shape(a)[0] for a in matrices if a is not None and np.ndim(a) == 3]
+            friction = self.friction if isinstance(self.friction, AbstractFriction) else None
+            each = [self.normal_load, *(friction.numbers().values() if friction else ())]
+            self.n = max(
+                [*counts, *(np.shape(a)[0] for a in each if np.ndim(a) == 1)], default=None
+            )
 
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))
@@ -219,6 +230,15 @@ class MechanicalCells(AbstractCells):
         return (*names, *(f"{name}'" for name in names))
 
     @property
+    def frictional(self) -> bool:
+        """Whether there is friction."""
+        return self.friction is not None
+
+    def velocity_of(self, index: int) -> int | None:
+        """The index of q_i' for q_i."""
+        return index + self.d if index < self.d else None
+
+    @property
     def contact(self) -> int:
         """The number of a state that is the sliding velocity."""
         return self.d + self.sliding
@@ -267,11 +287,21 @@ class MechanicalCells(AbstractCells):
         share: Any = self.compliance()[self.sliding]
         return self.static_limit() * share
 
+    def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any] | None:
+        """The mobility is sqrt(b_u / K_uu), of the greatest K_uu."""
+        if self.friction is None:
+            return None
+        u = self.sliding
+        held: Any = _entries(self.stiffness, self.d)[u][u]
+        share: Any = self.compliance()[u]
+        mobility = jnp.sqrt(jnp.max(share / jnp.where(held > 0, held, 1.0)))
+        return self.law, self.normal_load, self.belt_speed, mobility
+
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""
         return None if self.frequency is None else 2.0 * jnp.pi / self.frequency
 
-    def compliance(self) -> list[PerMass | None]:
+    def compliance(self) -> list[Any]:
         """M^{-1} e_u: the acceleration of each displacement by a unit force at the contact."""
         unit: list[Any] = [None] * self.d
         unit[self.sliding] = jnp.ones(())
@@ -303,6 +333,11 @@ class MechanicalCells(AbstractCells):
             wave = jnp.cos(frequency * t)
             add([f * wave for f in jnp.broadcast_to(self.force, (d,))])
         return tuple(substitute(factor(_entries(self.mass, d)), forces))
+
+    def free_accelerations(self, t: ScalarLike, y: State) -> Parts:
+        """M^{-1} h of all cells."""
+        left, right = self.neighbours(y)
+        return self.free_acceleration(t, left, y, right)
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)

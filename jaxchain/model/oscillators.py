@@ -19,8 +19,9 @@ from jaxtyping import Array, Bool, Float
 
 from .._final import final, refuse_overrides
 from .._types import PerMass, ScalarLike, State
-from .cells import AbstractField
-from .locality import FINAL, local_dependence
+from .cells import AbstractField, StateVariable
+from .locality import FINAL, check_local, local_dependence
+from .parameters import SPEED
 from .springs import Ends, Springs
 
 
@@ -75,6 +76,21 @@ class AbstractOscillators(AbstractField):
 
     springs: eqx.AbstractVar[Springs | None]
     components = ("displacement", "velocity")
+    time_unit = "1 / omega_n"
+
+    @property
+    def variables(self) -> tuple[StateVariable, ...]:
+        """x_n and v_n."""
+        x = StateVariable("displacement", "x0", "displacements x_n")
+        return x, StateVariable("velocity", SPEED, "velocities v_n")
+
+    def velocity_of(self, index: int) -> int | None:
+        """1 of the displacement."""
+        return 1 if index == 0 else None
+
+    def check_locality(self, t: ScalarLike, y: State) -> None:
+        """Raises `ValueError` unless the forces act mass by mass."""
+        check_local(self, t, y)
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -122,16 +138,6 @@ class AbstractOscillators(AbstractField):
     def ends(self) -> Ends:
         """ "cyclic" or "free"; irrelevant without springs."""
         return "cyclic" if self.springs is None else self.springs.ends
-
-    def value_and_rate(
-        self, t: ScalarLike, y: State, component: int = 0
-    ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """(x, v), or (v, v') for component 1."""
-        return (y[0], y[1]) if component == 0 else super().value_and_rate(t, y, component)
-
-    def second_rate(self, t: ScalarLike, y: State, component: int = 0) -> Float[Array, " n"]:
-        """v', or v'' for component 1."""
-        return self(t, y)[1] if component == 0 else super().second_rate(t, y, component)
 
     @property
     def structured(self) -> bool:

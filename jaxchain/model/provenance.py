@@ -22,7 +22,6 @@ from .cells import AbstractField
 from .chain import Chain
 from .friction import AbstractFrictionLaw, TanhFriction
 from .parameters import CHAIN
-from .tabulated import TabulatedFriction
 
 
 def versions() -> dict[str, str]:
@@ -42,19 +41,7 @@ def parameters_of(field: AbstractField, n: int, swept: Sequence[str]) -> str:
 
     For other oscillators: their class, their number n and their `numbers`.
     """
-    if isinstance(field, Chain):
-        parameters = {
-            "n": field.n,
-            "ends": field.ends,
-            **{name: getattr(field, name) for name in CHAIN},
-            "friction_law": type(field.law).__name__,
-            **field.friction.numbers(),
-            "width": field.numbers().get("width"),
-        }
-        if isinstance(field.law, TabulatedFriction):
-            parameters["friction_table"] = field.law.table
-    else:
-        parameters = {"n": n, "oscillators": type(field).__name__, **field.numbers()}
+    parameters = field.description(n)
     plain = {
         k: np.asarray(v).tolist() if hasattr(v, "shape") else v for k, v in parameters.items()
     }

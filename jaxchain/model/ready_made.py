@@ -31,7 +31,7 @@ from .._checks import (
 from .._final import final
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractCells
-from .friction import TanhFriction
+from .friction import AbstractFrictionLaw, TanhFriction
 from .springs import Ends
 
 Rates = tuple[Float[Array, " n"], ...]
@@ -540,3 +540,8 @@ class BurridgeKnopoff(_AbstractPulled):
         u, v = own
         pull = self.stiffness * u - self.coupling * _bend(left, own, right)
         return self.speed - v, (pull + self.friction.force(v)) / self.mass
+
+    def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any]:
+        """The block's own friction: the load is 1."""
+        mobility = 1.0 / jnp.sqrt(jnp.min(self.stiffness * self.mass))
+        return self.friction.law, 1.0, jnp.max(jnp.abs(self.speed)), mobility

@@ -24,8 +24,7 @@ from .._computed_once import flatten
 from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
-from ..model.cells import AbstractCells, AbstractField
-from ..model.oscillators import AbstractOscillators
+from ..model.cells import AbstractField
 
 
 @final
@@ -91,8 +90,8 @@ class Step(eqx.Module):
         theta may differ from cell to cell, so that a neighbour at the same time is not known.
         """
         field, component = self.field, self.component
-        if isinstance(field, AbstractOscillators) and component == 0:
-            return self.part(theta, 1)
+        if (index := field.velocity_of(component)) is not None:
+            return self.part(theta, index)
         if (rates := self._velocity_rates()) is not None:
             return rates.within(theta, component - len(rates.after))
         if _is_alone(field, self.y0, component):
@@ -218,9 +217,8 @@ class Step(eqx.Module):
 
 def _is_alone(field: AbstractField, y: State, component: int) -> bool:
     """Whether the rate of this number depends on nothing but the cell itself."""
-    if not isinstance(field, AbstractCells):
+    if (of := field.dependence(y)) is None:
         return False
-    of = field.dependence(y)
     return not (of.time[component] or any(of.left[component]) or any(of.right[component]))
 
 
@@ -357,50 +355,37 @@ def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:
 def states_at_times(
     name: str, value: tuple[Array, ...], chain: Any, *dims: str
 ) -> dict[str, Variable]:
-    """(times, x, v) as `<name>_time`, `<name>_displacement` and `<name>_velocity`.
+    """The times as `<name>_time`, and each variable as `<name>_<its name>`.
 
-    Of other cells, `<name>_<component>` of each of their numbers.
+    Of a chain `<name>_displacement` and `<name>_velocity`.
     """
     times, *parts = value
-    of, unit = f"of that {dims[0]}", "1"
-    if isinstance(chain, AbstractOscillators):
-        unit = "1 / omega_n"
-    labelled = {f"{name}_time": Variable(times, dims[:1], unit, f"time {of}")}
-    if isinstance(chain, AbstractOscillators):
-        x, v = parts
-        return labelled | {
-            f"{name}_displacement": Variable(x, dims, "x0", f"displacements x_n {of}"),
-            f"{name}_velocity": Variable(v, dims, "x0 omega_n", f"velocities v_n {of}"),
-        }
-    names = [component_name(chain, k) for k in range(len(parts))]
-    return labelled | {
-        f"{name}_{part}": Variable(values, dims, "1", f"{part} {of}")
-        for part, values in zip(names, parts, strict=True)
-    }
-
-
-def component_name(chain: Any, component: int) -> str:
-    """The name of one of the numbers of a cell, or its index as text."""
-    names = chain.components
-    return names[component] if component < len(names) else str(component)
+    of = f"of that {dims[0]}"
+    labelled = {f"{name}_time": Variable(times, dims[:1], chain.time_unit, f"time {of}")}
+    for k, values in enumerate(parts):
+        part, unit, words = chain.variable(k)
+        labelled[f"{name}_{part}"] = Variable(values, dims, unit, f"{words} {of}")
+    return labelled
 
 
 def renamed(variables: dict[str, Variable], chain: Any, component: int) -> dict[str, Variable]:
-    """With the name of the component behind those of the variables, unless it is the first.
-
-    The units of other models than oscillators are not known here, and only the component says
-    what the variables are of.
-    """
-    if not isinstance(chain, AbstractOscillators):
-        of = component_name(chain, component)
-        of = of if chain.components else f"component {of}"
+    """Variables of the first component of a chain as those of another component, or model."""
+    part, unit, words = chain.variable(component)
+    if component or chain.time_unit == "1":
+        words = part if words.endswith("_n") else words  # the symbols are those of the first
+        square = "1" if unit == "1" else f"({unit})^2"
+        units = {"x0": unit, "x0^2": square, "1 / omega_n": chain.time_unit}
         variables = {
-            name: Variable(v.values, v.dims, "1", f"{name.replace('_', ' ')} of {of}", v.is_count)
+            name: dataclasses.replace(
+                v,
+                units=units.get(v.units, v.units),
+                long_name=f"{name.replace('_', ' ')} of {words}",
+            )
             for name, v in variables.items()
         }
     if component == 0:
         return variables
-    return {f"{name}_{component_name(chain, component)}": v for name, v in variables.items()}
+    return {f"{name}_{part}": v for name, v in variables.items()}
 
 
 class AbstractObserver(eqx.Module):

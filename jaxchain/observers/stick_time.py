@@ -84,9 +84,8 @@ class StickTime(AbstractObserver):
         return accumulator[0]
 
     def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
-        del chain
         name = "time for which a mass sticks during the window"
-        return {"stick_time": Variable(value, ("oscillator",), "1 / omega_n", name)}
+        return {"stick_time": Variable(value, ("oscillator",), chain.time_unit, name)}
 
 
 def sticking(step: Step) -> tuple[Array, Array]:

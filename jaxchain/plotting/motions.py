@@ -39,7 +39,7 @@ from ..model.parameters import SPEED
 from ..model.units import Scales
 from ..observers.samples import Trajectory
 from ..observers.section import Section
-from ..simulation.accuracy import custom_solver
+from ..simulation.method import custom_solver
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION
 from .model import zigzag

@@ -33,7 +33,7 @@ from ..model.friction import AbstractFrictionLaw
 from ..model.parameters import CHAIN
 from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
-from ..simulation.accuracy import check_resolved, fit_linear_solve
+from ..simulation.method import check_resolved, fit_linear_solve
 from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
 from .files import SceneError
@@ -321,19 +321,20 @@ def checked_chains(
 def _check(
     experiment: AnyExperiment, chain: Any, initial: Any, observe: list[AbstractObserver]
 ) -> None:
-    numerics, time, m = experiment.numerics, experiment.time, 2
+    numerics, time = experiment.numerics, experiment.time
     axes = check_axes(chain, initial, experiment.grid())
-    if isinstance(chain, AbstractCells):
-        m = len(as_state(chain, initial(chain)))  # raises for a `rate` that does not fit
+    m = len(chain.variables) or len(as_state(chain, initial(chain)))
+    chain.dependence((jnp.zeros(experiment.n),) * m)  # raises for a `rate` that does not fit
     size = m, experiment.n
     check_observers(observe, chain, size, 0.0, time.transient + time.window, None, axes)
     solver = None
     if numerics.model != "dry":
         solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
-    if numerics.model != "dry" and isinstance(chain, Chain):
+    scale = chain.smallest_scale(experiment.n)
+    if numerics.model != "dry" and scale is not None:
         swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
-        width, speed = swept.get("width", chain.width), swept.get("belt_speed", chain.belt_speed)
-        check_resolved(chain.n, width, speed, numerics.rtol, numerics.atol, solver)
+        scale = swept.get("width", scale[0]), swept.get("belt_speed", scale[1])
+        check_resolved(experiment.n, scale, numerics.rtol, numerics.atol, solver)
 
 
 def load_model(given: str, scene: str) -> type[AbstractCells]:

@@ -13,9 +13,6 @@ import jax
 import jax.tree_util as jtu
 import numpy as np
 
-from ..model.chain import Chain
-from ..model.oscillators import AbstractOscillators
-from ..model.parameters import CHAIN, Parameter, parameter
 from ..model.provenance import circumstances, parameters_of
 from ..observers.base import Variable, states_at_times
 from ..observers.samples import Trajectory
@@ -112,14 +109,9 @@ def to_dataset(
         if name in LONG_NAMES:
             attrs_of[name]["long_name"] = LONG_NAMES[name]
         timed = name in ("end_time", "segment_end")
-        known = isinstance(chain, AbstractOscillators)
-        attrs_of[name]["units"] = "1 / omega_n" if timed and known else "1"
-    numbers = chain.numbers().keys()
-    if isinstance(chain, Chain):
-        numbers |= CHAIN.keys()
-    for name in columns_of(axes).keys() & numbers:
-        row = parameter(name) if isinstance(chain, Chain) else Parameter(name, name)
-        attrs_of[name] |= row.attrs
+        attrs_of[name]["units"] = chain.time_unit if timed else "1"
+    for name in columns_of(axes).keys() & set(chain.parameter_names):
+        attrs_of[name] |= chain.parameter(name).attrs
     attrs_of["result"] |= {
         "flag_values": np.arange(len(NAMES), dtype=code.dtype),
         "flag_meanings": " ".join(NAMES),

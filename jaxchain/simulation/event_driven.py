@@ -32,8 +32,6 @@ from .._final import final
 from .._internals import unvmap_any
 from .._types import State
 from ..model.cells import AbstractField
-from ..model.chain import Chain
-from ..model.mechanical import MechanicalCells
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Rates, Step
 from ..result import Result
 from ..solvers.dry_friction import (
@@ -49,7 +47,6 @@ from ..solvers.dry_friction import (
     motion,
     next_event,
     rates,
-    shares,
     start,
     static_limit,
 )
@@ -167,7 +164,7 @@ def head_start(
     if d > 1:
         change = friction_at_rest(field, t, state, new.direction)
         change = since * (change - friction_at_rest(field, t, state, modes.direction))
-        for i, share in enumerate(shares(field)):
+        for i, share in enumerate(field.compliance()):
             if i != place - d:
                 gains[i] = jnp.where(hits, 0.0 if share is None else -share * change, 0.0)
     return gains
@@ -508,10 +505,7 @@ class EventDriven(eqx.Module):
 
 
 def _dry(field: AbstractField) -> Dry:
-    if not (
-        isinstance(field, Chain)
-        or (isinstance(field, MechanicalCells) and field.friction is not None)
-    ):
+    if not field.frictional:
         raise ValueError(
             "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction, but has "
             f"{type(field).__name__}. Use a structured or a stock solver for any other system."

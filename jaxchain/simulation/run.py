@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import diffrax as dfx
@@ -24,28 +25,14 @@ from .._final import final
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
 from ..model.cells import AbstractField
-from ..model.chain import Chain, require_smoothed
 from ..observers.base import AbstractObserver
 from ..observers.samples import Trajectory
 from ..result import NAMES, Printed, Result, code, ended_well, message
-from .accuracy import (
-    MAX_STEP,
-    NO_ACCURACY,
-    USUAL_RTOL,
-    Numerics,
-    check_adjoint,
-    check_resolved,
-    check_span,
-    check_tolerances,
-    choose_numerics,
-    choose_solver,
-    custom_solver,
-    default_rtol,
-)
+from .accuracy import Numerics, check_accuracy, choose_numerics
 from .dataset import Origin, run_dataset
 from .event_driven import EventDriven
+from .method import Method, check_span, custom_solver
 from .plan import CHECKPOINTS, AbstractPlan, Progress
-from .smoothed import SmoothedPlan
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -122,11 +109,12 @@ def simulate(
     *,
     t0: ScalarLike = 0.0,
     observe: PyTree = None,
+    method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
     accuracy: Any = None,
     rtol: ArrayLike | None = None,
     atol: ArrayLike | None = None,
-    max_step: ArrayLike = MAX_STEP,
+    max_step: ArrayLike | None = None,
     max_steps: int | None = None,
     segments: int | None = None,
     adjoint: dfx.AbstractAdjoint | None = None,
@@ -142,19 +130,13 @@ def simulate(
     - `t1`, `t0`: dimensionless times, t1 >= t0.
     - `observe`: an observer (`Amplitude`, `PeakTimes`, `Section`, `Trajectory`) or any nested
       tuple, list or dict of them.  Nothing else is computed or stored.
-    - `solver`: the default is `EventDriven()` for dry friction and a structured solver (see
-      `choose_solver`) otherwise.  Smoothed friction also works with any diffrax solver, and with
-      `EventDriven()`, which ignores the width.
+    - `method`: how the run is integrated, see `Method`; or its fields `solver`, `rtol`, `atol`,
+      `max_step` and `max_steps` (of each segment) as arguments of their own.
     - `accuracy`: the allowed error against dry friction, relative to the greatest amplitude.  It
       holds for 30 time units from the start, and later for amplitudes that have `settled`; while
       masses start or stop vibrating, the error may be a hundred times greater (see
       `choose_numerics`).  It determines the width, `rtol` and the default solver, which `numerics`
       reports.
-    - `rtol`, `atol`: tolerances of the step-size control (default 1e-6, or less if a narrow width
-      needs it; and rtol / 10).
-    - `max_step`: the longest step (dimensionless time; a period is about 2 pi).
-    - `max_steps`: the greatest number of steps of the run (of each segment), accepted or rejected;
-      None: no limit.
     - `segments`: the number of parts of equal length.  Observers start anew in each part, and
       their values are stacked along a first axis.
     - `adjoint`: the default works with `jvp`, `jacfwd`, `grad` and `jacrev`, in bounded memory for
@@ -184,40 +166,24 @@ def simulate(
         1
     """
     as_chain(chain, AbstractField)
-    solver = custom_solver(chain, solver)
+    method = Method.of(
+        method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
+    )
+    solver = custom_solver(chain, method.solver)
     check_adjoint(adjoint)
     check_flag("throw", throw)
-    smoothed = not isinstance(solver, EventDriven)
+    check_span(t0, t1)
+    check_segments(segments)
     numerics = None
     if accuracy is not None:
-        require_smoothed(chain, NO_ACCURACY)
-        if not isinstance(chain, Chain):
-            raise ValueError(
-                "Argument `accuracy` needs a `Chain`, whose friction has a width, but the chain "
-                f"is a {type(chain).__name__}: leave it out, and give `rtol`."
-            )
-        if rtol is not None:
-            raise ValueError(
-                "Argument `accuracy` picks the width and `rtol`: give either it or `rtol`, but "
-                f"`rtol` is {rtol!r}."
-            )
+        check_accuracy(chain, accuracy, method.rtol)
         numerics = choose_numerics(chain, accuracy)
-        rtol = numerics.rtol
-        if smoothed:
+        if not isinstance(solver, EventDriven):
             chain = chain.with_(width=numerics.width)
             solver = numerics.solver if solver is None else solver
-    tolerance: Any = rtol
-    if rtol is None:
-        tolerance = USUAL_RTOL
-        if smoothed and isinstance(chain, Chain):
-            tolerance = default_rtol(chain.n, chain.width, chain.belt_speed, solver)
-    initial = _check_input(
-        chain, initial, t0, t1, tolerance, atol, max_step, max_steps, segments, smoothed, solver
-    )
-    if solver is None:
-        solver = choose_solver(
-            chain, _concrete(tolerance, 1e-6), _concrete(max_step, MAX_STEP), initial
-        )
+        method = dataclasses.replace(method, solver=solver, rtol=numerics.rtol)
+    initial = as_state(chain, initial, t0=t0)
+    method = method.suited(chain, initial[0].shape[0], initial)
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
     for leaf in leaves:
         if not _is_observer(leaf):
@@ -229,18 +195,11 @@ def simulate(
             _check_trajectory(leaf, t0, t1, segments)
     observers = [o for o in leaves if isinstance(o, AbstractObserver)]
     check_fit(observers, t0, t1, segments)
-    plan = build_plan(
-        solver,
-        observers,
-        tolerance,
-        0.1 * tolerance if atol is None else atol,
-        max_step,
-        t1,
-    )
+    plan = method.plan(observers, t1)
     trajectories = [o for o in leaves if isinstance(o, Trajectory)]
     out, values = _run(
         plan, chain, initial, to_float(t0), to_float(t1), trajectories,
-        max_steps, segments, adjoint,
+        method.max_steps, segments, adjoint,
     )  # fmt: skip
     if throw:
         out, values = _raise_on_failure(out, values)
@@ -258,24 +217,19 @@ def simulate(
         origin = Origin(chain, leaves, treedef, plan, float(t0), float(t1), segments)
     return Simulation(
         out.t, out.state, observed, out.result, out.steps, out.rejected,
-        numerics if smoothed else None, origin,
+        None if method.dry else numerics, origin,
     )  # fmt: skip
 
 
-def build_plan(
-    solver: dfx.AbstractSolver | EventDriven,
-    observers: list[AbstractObserver],
-    rtol: ArrayLike,
-    atol: ArrayLike,
-    max_step: ArrayLike,
-    t1: ScalarLike,
-) -> AbstractPlan:
-    """The plan of a run to t1: by diffrax, or event-driven."""
-    if isinstance(solver, EventDriven):
-        return solver.plan(observers, rtol, atol, max_step, _concrete(rtol, 1e-6))
-    return SmoothedPlan(
-        solver=solver, observers=observers, rtol=rtol, atol=atol, max_step=max_step, t1=t1
-    )
+def check_adjoint(adjoint: Any) -> None:
+    """Raises `ValueError` for an unsupported `adjoint`."""
+    kinds = dfx.ForwardMode | dfx.RecursiveCheckpointAdjoint
+    if adjoint is not None and not isinstance(adjoint, kinds):
+        raise ValueError(
+            "Argument `adjoint` must be None, `diffrax.ForwardMode()` or "
+            f"`diffrax.RecursiveCheckpointAdjoint()`, but is {shown(adjoint)}. None serves "
+            "derivatives of both kinds."
+        )
 
 
 @eqx.filter_jit
@@ -383,36 +337,9 @@ def _advance(
     return both_ways(go(forward), go(adjoint, recorded), args, go(forward, recorded))
 
 
-def _concrete(value: Any, default: float) -> float:
-    """A concrete number to choose a method; for a traced one the default."""
-    return default if is_traced(value) else float(value)
-
-
 def check_segments(segments: Any) -> None:
     """Raises `ValueError` unless it is None or a number of segments."""
     check_count("segments", segments, MOST_SEGMENTS, "it is the number of parts of a run.")
-
-
-def _check_input(
-    chain: AbstractField,
-    initial: Any,
-    t0: Any,
-    t1: Any,
-    rtol: Any,
-    atol: Any,
-    max_step: Any,
-    max_steps: int | None,
-    segments: int | None,
-    smoothed: bool,
-    solver: Any,
-) -> State:
-    check_span(t0, t1)
-    check_tolerances(rtol, atol, max_step)
-    if isinstance(chain, Chain) and smoothed:
-        check_resolved(chain.n, chain.width, chain.belt_speed, rtol, atol, solver)
-    check_count("max_steps", max_steps)
-    check_segments(segments)
-    return as_state(chain, initial, t0=t0)
 
 
 def _check_trajectory(trajectory: Trajectory, t0: Any, t1: Any, segments: int | None) -> None:

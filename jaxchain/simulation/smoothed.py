@@ -22,7 +22,6 @@ from .._computed_once import materialize
 from .._internals import buffer_at_set, while_loop
 from .._types import State
 from ..model.cells import AbstractField
-from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
@@ -115,7 +114,7 @@ def _seen(
     """(the step for observers, the acceleration at its end if it is given at its start)."""
     if isinstance(inside, RosenbrockInterpolation):
         return Step(field, t0, t1, y0, y1, inside.at), None
-    if isinstance(field, AbstractOscillators):
+    if acceleration is not None:
         end = field(t1, y1, None)[1]
         return Step(field, t0, t1, y0, y1, _quintic(t1 - t0, y0, y1, acceleration, end)), end
     rates = field(t0, y0, None), field(t1, y1, None)
@@ -220,7 +219,7 @@ class SmoothedPlan(AbstractPlan):
         # A NaN step would be repeated for ever: the controller cannot shrink it.
         result = first_result(initial, t0, t1)
         stuck = (result == Result.successful) & ~jnp.isfinite(ahead)
-        watched = bool(self.observers) and isinstance(field, AbstractOscillators)
+        watched = bool(self.observers) and len(initial) == 2 and field.velocity_of(0) == 1
         watched = watched and not isinstance(self.solver, AbstractStructuredRosenbrock)
         memory = _Memory(
             solver=self.solver.init(terms, t0, ahead, initial, None),

@@ -24,8 +24,6 @@ from .._final import final
 from .._types import ScalarLike, State
 from ..model.cells import AbstractField
 from ..model.chain import MAKE_CHAIN
-from ..model.mechanical import MechanicalCells
-from ..model.oscillators import AbstractOscillators
 
 # In units of the width, measured on the ring of twenty for widths 1e-2 to 1e-4 and errors of 1e-2
 # to 1e-6.  The optimum is flat.  At 6 widths tanh is 1 to 1e-5, so that beyond them the force is
@@ -198,10 +196,11 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
 
     def _curvature(self, h: Any, y0: State, y1: State) -> Any:
         """c of v = (1 - s / h) v_0 + (s / h) v_1 + c s (s - h) with the mean (x_1 - x_0) / h."""
-        if not isinstance(self.field, AbstractOscillators | MechanicalCells):
-            return 0.0  # the integral of v need not be among its numbers
         place = self.field.contact
-        x = place - len(y0) // 2
+        of = [k for k in range(len(y0)) if self.field.velocity_of(k) == place]
+        if not of:
+            return 0.0  # the integral of v need not be among the variables
+        x = of[0]
         mean = (self.direction / h) * (y1[x] - y0[x])  # x' = -v while time runs backward
         ends = 0.5 * (y0[place] + y1[place])
         return (6.0 / h**2) * (ends - mean)

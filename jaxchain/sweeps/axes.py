@@ -22,10 +22,9 @@ from .._checks import check_finite, check_function, check_kind, check_whole
 from .._limits import MOST_LANES
 from .._spelling import did_you_mean
 from ..model.cells import AbstractField
-from ..model.chain import Chain, chain_number, require_smoothed
-from ..model.parameters import CHAIN
+from ..model.chain import require_smoothed
 from ..simulation.dataset import Axes, columns_of, sizes
-from .lanes import chain_names, initial_names
+from .lanes import initial_names
 
 # The number of a block along each dimension.
 Key: TypeAlias = tuple[int, ...]
@@ -44,7 +43,7 @@ def check_axes(
             check_function(title, f, "of the chain, and of what else `over` names", 1)
     functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
     of_functions = [name for f in functions.values() for name in initial_names(f)]
-    numbers = chain_names(chain)
+    numbers = chain.parameter_names
     remedy = '{"belt_speed": [1.0, 1.5]}, say.'
     check_kind("over", over, Mapping, "a dict of quantities and their values", remedy)
     if not over:
@@ -91,11 +90,9 @@ def check_axes(
             f"Argument `over` asks for {total} lanes; at most {most} run in one sweep. "
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
-    own = CHAIN.keys() & set(numbers) if isinstance(chain, Chain) else set()
-    for name, values in columns_of(axes).items():
-        if name in own:
-            chain_number(name, values)  # raises for impossible numbers
-    for row in extremes(axes, [name for name in numbers if name not in own]):
+    columns = columns_of(axes)
+    left = [k for k in numbers if k in columns and not chain.check_parameter(k, columns[k])]
+    for row in extremes(axes, left):
         chain.with_(**row)  # also for those of a law that contradict each other
     return axes
 

@@ -33,45 +33,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
 
-from .._checks import check_concrete, check_count, check_finite, check_kind, shown, to_float
+from .._checks import check_concrete, check_finite, shown, to_float
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
-from ..model.cells import AbstractCells, AbstractField
-from ..model.chain import Chain, require_smoothed
+from ..model.cells import AbstractField
+from ..model.chain import Chain
 from ..model.parameters import parameter
 from ..model.provenance import versions
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Step, Variable
 from ..observers.samples import Trajectory
 from ..result import NAMES
-from ..simulation.accuracy import (
-    MAX_STEP,
-    NO_ACCURACY,
-    USUAL_RTOL,
-    check_resolved,
-    check_span,
-    check_tolerances,
-    choose_numerics,
-    choose_solver,
-    custom_solver,
-    default_rtol,
-)
+from ..simulation.accuracy import check_accuracy, choose_numerics
 from ..simulation.dataset import describe, to_dataset
-from ..simulation.event_driven import EventDriven
-from ..simulation.run import build_plan, check_fit, check_segments
+from ..simulation.method import Method, check_span, custom_solver
+from ..simulation.run import check_fit, check_segments
 from .axes import Axes, Block, Grid, Key, check_axes, chunks_of, columns_of, extremes
 from .lanes import (
     RunStarts,
     Shapes,
     SweepTask,
-    chain_names,
     chain_of_run,
     initial_names,
     known_again,
@@ -110,12 +97,8 @@ class RunSettings:
     vary: Callable[..., Any] | None = None
     observe: Any = None
     t0: ScalarLike = 0.0
-    solver: dfx.AbstractSolver | EventDriven | None = None
+    method: Method | None = None
     accuracy: float | None = None
-    rtol: Any = None
-    atol: Any = None
-    max_step: ScalarLike = MAX_STEP
-    max_steps: int | None = None
     segments: int | None = None
     n: int | None = None  # of masses or cells; `prepare` reads it off chain and `initial`
 
@@ -143,15 +126,9 @@ class Ensemble:
     def task(self) -> SweepTask:
         """The data common to all lanes."""
         settings = self.settings
-        plan = build_plan(
-            settings.solver,  # pyright: ignore[reportArgumentType]
-            settings.observe,
-            settings.rtol,
-            settings.atol,
-            settings.max_step,
-            settings.t1,
-        )
-        steps = None if settings.max_steps is None else jnp.asarray(settings.max_steps)
+        method = Method.of(settings.method)
+        plan = method.plan(settings.observe, settings.t1)
+        steps = None if method.max_steps is None else jnp.asarray(method.max_steps)
         varied = self.starts.varied(self.first_job().first)
         t0, t1 = to_float(settings.t0), to_float(settings.t1)
         return SweepTask(plan, settings.chain, t0, t1, steps, varied, settings.segments, self.n)
@@ -233,54 +210,43 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
     check_concrete("use `jax.vmap` of `simulate`.", over=over)
     check_span(t0, t1)
-    solver = custom_solver(chain, settings.solver)
+    method = Method.of(settings.method)
+    custom_solver(chain, method.solver)  # raises for one that does not suit
     axes = check_axes(chain, initial, over, vary, most)
-    columns, known = columns_of(axes), isinstance(chain, Chain)
+    columns = columns_of(axes)
     m, n = _check_initial(chain, initial, columns)
     _check_vary(chain, vary, axes)
-    smoothed = not isinstance(solver, EventDriven)
-    rtol, atol, max_step, accuracy = (
-        settings.rtol,
-        settings.atol,
-        settings.max_step,
-        settings.accuracy,
-    )
+    accuracy, scale = settings.accuracy, chain.smallest_scale(n)
     if accuracy is not None:
-        require_smoothed(chain, NO_ACCURACY)
-        check_kind("chain", chain, Chain, "a `Chain`, whose friction has a width, for `accuracy`")
-        if rtol is not None or "width" in columns:
-            raise ValueError(
-                "Argument `accuracy` picks the width and `rtol`: leave out `rtol`, and `width` of "
-                "`over`."
-            )
+        check_accuracy(chain, accuracy, method.rtol)
+        if "width" in columns:
+            raise ValueError("Argument `accuracy` picks the width: leave `width` out of `over`.")
         grid = Grid(axes, chunks_of(axes, 100_000))
         blocks = map(grid.block, grid.all_keys())
         rtol = min(_numerics(chain, vary, block.jobs, accuracy)[1] for block in blocks)
-    width: Any = columns.get("width", chain.width) if known else None
-    speed: Any = columns.get("belt_speed", chain.belt_speed) if known else None
-    if rtol is None:
-        rtol = default_rtol(n, width, speed, solver) if smoothed and known else USUAL_RTOL
-    check_tolerances(rtol, atol, max_step)
-    if smoothed and known and accuracy is None:
-        check_resolved(n, width, speed, rtol, atol, solver)
+        method, scale = dataclasses.replace(method, rtol=rtol), None
+    if scale is not None and "width" in chain.parameter_names:  # what is swept decides
+        swept = columns.get("width"), columns.get("belt_speed")
+        scale = tuple(b if a is None else a for a, b in zip(swept, scale, strict=True))
+    method = method.checked(chain, n, scale)
     check_segments(settings.segments)
     observers = check_observers(
         settings.observe, chain, (m, n), float(t0), float(t1), settings.segments, axes
     )
-    check_count("max_steps", settings.max_steps)
-    if solver is None:
-        strongest, state = chain, None
+    if method.solver is None:
+        strongest = chain
         if "coupling" in columns:  # decides the linear solve
             strongest = chain.with_(coupling=float(np.max(columns["coupling"])))
-        if isinstance(chain, AbstractCells):
+
+        def first_state() -> State:
             first = {name: jnp.asarray(values[0]) for name, values in columns.items()}
-            state = RunStarts(strongest, initial, vary, n).of(first).state
-        solver = choose_solver(strongest, float(rtol), float(max_step), state)
+            return RunStarts(strongest, initial, vary, n).of(first).state
+
+        method = method.suited(strongest, n, first_state, scale)
+    accuracy = None if method.dry else accuracy
     complete = dataclasses.replace(
-        settings, chain=chain, observe=observers, solver=solver, rtol=rtol,
-        atol=0.1 * rtol if atol is None else atol, accuracy=accuracy if smoothed else None,
-        n=n,
-    )  # fmt: skip
+        settings, chain=chain, observe=observers, method=method, accuracy=accuracy, n=n
+    )
     return Ensemble(complete, axes)
 
 
@@ -291,7 +257,7 @@ def _numerics(
     accuracy: float,
 ) -> tuple[np.ndarray, float]:
     """The width of every job, and one rtol for all."""
-    names = [*chain_names(chain), *([] if vary is None else initial_names(vary))]
+    names = [*chain.parameter_names, *([] if vary is None else initial_names(vary))]
     columns = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
 
     def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
@@ -328,20 +294,22 @@ def _check_initial(
         if not varied:
             given = known_again(initial), chain
             states = [shape_of(_first_state, given, programs=start_program)]
-    cells = isinstance(chain, AbstractCells)
-    m = len(states[0]) if cells and isinstance(states[0], tuple | list) else 2
-    n = chain.n if isinstance(chain, Chain) else 1
+    names = [variable.name for variable in chain.variables]
+    m = len(names) or (len(states[0]) if isinstance(states[0], tuple | list) else 0)
+    n = chain.n or 1
     for state in states:
         if not isinstance(state, tuple | list) or len(state) != m:
-            wanted = f"a tuple of {m} arrays" if cells else "the pair (displacement, velocity)"
+            wanted = (
+                f"the tuple ({', '.join(names)})" if names else f"a tuple of {m or 'm'} arrays"
+            )
             raise ValueError(
                 f"Argument `initial` must be {wanted} or return it, but "
                 f"that is {shown(state)}: see `excited_state`."
             )
-        if not isinstance(chain, Chain):
+        if chain.n is None:
             n = max(n, *(math.prod(jnp.shape(part)) for part in state))
         for i, part in enumerate(state):
-            name = str(i) if cells else ("displacement", "velocity")[i]
+            name = chain.variable(i).name
             if not isinstance(part, jax.ShapeDtypeStruct):
                 to_float(part, f"initial {name}", "see `excited_state` for initial states.")
             if jnp.shape(part) not in ((), (n,)):
@@ -351,8 +319,7 @@ def _check_initial(
                 )
             if not callable(initial):
                 check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
-    if cells:
-        chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each number
+    chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable
     return m, n
 
 
@@ -367,9 +334,8 @@ def _check_vary(chain: AbstractField, vary: Callable[..., Any] | None, axes: Axe
         return
     for row in extremes(axes, initial_names(vary)) or [{}]:
         varied: Any = vary(chain, **row)
-        masses = getattr(chain, "n", None)
-        if type(varied) is not type(chain) or getattr(varied, "n", None) != masses:
-            of = f" of {masses} masses" if isinstance(chain, Chain) else ""
+        if type(varied) is not type(chain) or varied.n != chain.n:
+            of = "" if chain.n is None else f" of {chain.n} masses"
             raise ValueError(
                 f"Argument `vary` must return a `{type(chain).__name__}`{of}, but returns "
                 f"{shown(varied)}."
@@ -447,18 +413,14 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
     swept = columns_of(axes)
     at_rest = ensemble.shapes.start.state
     numbers = {**chain.numbers(), "n": ensemble.n, "ends": chain.ends}
-    forces: Any = chain
-    force, at, kind = _rate, ensemble.shapes.start.state, type(chain)
-    if isinstance(chain, Chain):
-        forces, force, at, kind = chain.friction, _force, jnp.zeros(()), type(chain.friction)
     # For example of a table: arrays are data of a program, not part of its text.
-    data = [a for a in _arrays(forces) if all(a is not b for b in numbers.values())]
+    data = [a for a in _arrays(chain) if all(a is not b for b in numbers.values())]
     solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)
     return {
         "chain": {k: _value(v) for k, v in numbers.items() if k not in swept and v is not None},
         "friction": {
-            "law": kind.__name__,
-            "curve": digest(_program(force, forces, at), *data),
+            "law": type(chain.given_friction or chain).__name__,
+            "curve": digest(_program(_rate, chain, at_rest), *data),
         },
         "solver": _fields(solver)
         | {"code": digest(_source(getattr(plan, "solver", None)), *_arrays(solver))},

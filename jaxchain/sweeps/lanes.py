@@ -22,8 +22,6 @@ from jaxtyping import Array, Bool, Int
 
 from .._types import State
 from ..model.cells import AbstractField
-from ..model.chain import Chain
-from ..model.parameters import CHAIN
 from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
@@ -34,14 +32,6 @@ ROUND = 64
 NO_JOB = -1  # instead of the number of a job
 
 
-def chain_names(chain: AbstractField) -> list[str]:
-    """Numbers that may differ between lanes: all except `coupling` of an uncoupled chain."""
-    if not isinstance(chain, Chain):
-        return list(chain.numbers())
-    names = [name for name in CHAIN if name != "coupling" or chain.coupling is not None]
-    return [*names, *chain.friction.numbers()]
-
-
 def initial_names(initial: Callable) -> list[str]:
     """The parameters of `initial` or `vary` besides the chain."""
     return list(inspect.signature(initial).parameters)[1:]
@@ -49,7 +39,7 @@ def initial_names(initial: Callable) -> list[str]:
 
 def with_numbers(chain: Any, values: Mapping[str, Any]) -> Any:
     """The chain with those of the `values` that are its numbers."""
-    numbers = {k: v for k, v in values.items() if k in chain_names(chain)}
+    numbers = {k: v for k, v in values.items() if k in chain.parameter_names}
     return chain.with_(**numbers) if numbers else chain
 
 
@@ -141,7 +131,7 @@ class RunStarts(eqx.Module):
 
     def of(self, values: Mapping[str, Any]) -> RunStart:
         """The start of the job with these values."""
-        numbers = {k: v for k, v in values.items() if k in chain_names(self.chain)}
+        numbers = {k: v for k, v in values.items() if k in self.chain.parameter_names}
         given = chain = with_numbers(self.chain, numbers)
         new = []
         if self.vary is not None:

@@ -28,8 +28,8 @@ from .._checks import check_count, check_flag, check_kind, shown
 from .._limits import MOST_LANES, MOST_STORED
 from .._types import ScalarLike, State
 from ..result import ended_as, ended_well, message
-from ..simulation.accuracy import MAX_STEP
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
+from ..simulation.method import Method
 from .axes import Block, Grid, check_chunks, chunks_of
 from .ensemble import Ensemble, RunSettings, fingerprint_of, prepare
 from .scheduler import Scheduler, lane_bar, lane_count
@@ -69,11 +69,12 @@ def sweep(
     vary: Callable[..., Any] | None = None,
     observe: Any = None,
     t0: ScalarLike = 0.0,
+    method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
     accuracy: float | None = None,
     rtol: ScalarLike | None = None,
     atol: ScalarLike | None = None,
-    max_step: ScalarLike = MAX_STEP,
+    max_step: ScalarLike | None = None,
     max_steps: int | None = None,
     segments: int | None = None,
     lanes: int | None = None,
@@ -110,7 +111,7 @@ def sweep(
       other runs, repeat the sweep with four times the accuracy: they differ by more than
       `accuracy` (see `choose_numerics`).  Each run has its own width, the variable `width` of the
       dataset, and all have the least `rtol`.
-    - `solver`, `rtol`, `atol`, `max_step`, `max_steps`: as for `simulate`, the same for all runs.
+    - `method`, or its fields: as for `simulate`, the same for all runs.
     - `lanes`: the number of runs side by side on each device.  A fixed number gives reproducible
       bits, for any number of devices and runs.  By default it is as many as fit the cache, at most
       the share of the device, and fewer near the end of a long sweep.  The default is fastest, but
@@ -158,10 +159,10 @@ def sweep(
         ('belt_speed', 'excited')
     """
     _check_running(lanes, devices, client, progress, description)
-    settings = RunSettings(
-        chain, initial, t1, vary, observe, t0, solver, accuracy, rtol, atol, max_step, max_steps,
-        segments,
-    )  # fmt: skip
+    method = Method.of(
+        method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
+    )
+    settings = RunSettings(chain, initial, t1, vary, observe, t0, method, accuracy, segments)
     ensemble = prepare(settings, over, MOST_LANES if store is None else MOST_STORED)
     chunks = check_chunks(chunks, ensemble.axes)
     if store is not None:
