@@ -125,16 +125,16 @@ class DecayOrVibrate(AbstractObserver):
     def update(self, accumulator: _Watched, step: Step) -> _Watched:
         now, field = accumulator, cast(Chain, step.field)
         x, v = step.y1
+        left, right = field.neighbours(step.y1)
         switching = field.switching(step.t1, v)
         assert switching is not None  # a field with a belt has `switching`
         speed: Any = field.stick_speed()
         held = jnp.abs(switching[0]) <= speed
-        held = held & (field.excess_force(x, v) <= 0)
+        held = held & (field.excess_force(step.t1, left, step.y1, right) <= 0)
         period = 2.0 * jnp.pi / jnp.sqrt(field.stiffness_diagonal(x.shape[0]))
         anew = held & (step.t1 - now.last > _APART * period)
         since = jnp.where(anew, step.t1, now.since)
-        dry = isinstance(field, Chain) and field.dry
-        periods = _STICKS if dry else _SMOOTHED_STICKS
+        periods = _STICKS if field.dry else _SMOOTHED_STICKS
         enough = jnp.maximum(periods * period, self.patience)
         vibrates = held & (step.t1 - since > enough)
         died = now.died | self._dead(field, step.y1)

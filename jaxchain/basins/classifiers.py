@@ -34,7 +34,6 @@ from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
-from ..model.chain import Chain
 from ..observers.base import AbstractObserver, Step, Variable, renamed
 from ..observers.quantities import active_above
 from ..result import Printed
@@ -346,8 +345,8 @@ class VibratingMasses(AbstractClassifier):
     def name(self, code: Int[np.ndarray, " k"], chain: Any) -> str:
         count = self.numbers(code, chain)["vibrating"]
         if count == 0:
-            return "sliding" if isinstance(chain, Chain) else "quiet"
-        if isinstance(chain, Chain) and chain.n == 1:
+            return "sliding" if chain.frictional else "quiet"
+        if chain.n == 1:
             return "vibrating"
         verb = "vibrates" if count == 1 else "vibrate"
         if self.by == "count":

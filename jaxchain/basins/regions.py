@@ -35,7 +35,7 @@ from .._final import final
 from .._printing import PrintedAsCall
 from .._types import State
 from ..model.arguments import as_chain
-from ..model.cells import AbstractCells, AbstractField
+from ..model.cells import AbstractField
 from ..model.chain import Chain, steady_sliding
 
 _EDGES = "give (low, high), as (-2, 2)."
@@ -346,16 +346,15 @@ def check_region(region: Any, chain: Any) -> int:
     kinds = "a `Box`, `Ball`, `Gaussian`, `Ranges` or `Sampler`"
     check_kind("region", region, AbstractRegion, kinds, "`Box()` is that of the literature.")
     state: Any = eqx.filter_eval_shape(region.start, chain, jnp.zeros(region.dimension(chain)))
-    cells = isinstance(chain, AbstractCells)
     shapes = [part.shape for part in state] if isinstance(state, tuple | list) else []
-    n = chain.n if isinstance(chain, Chain) else max(map(math.prod, shapes), default=1)
-    if not (shapes and (cells or len(shapes) == 2) and set(shapes) <= {(), (n,)}):
-        wanted = "tuples of arrays" if cells else "pairs (x, v)"
+    n = chain.n or max(map(math.prod, shapes), default=1)
+    m = len(chain.variables) or len(shapes)
+    if not shapes or len(shapes) != m or not set(shapes) <= {(), (n,)}:
         raise ValueError(
-            f"Argument `region` must make {wanted} of shape ({n},), but makes {shown(state)}."
+            f"Argument `region` must make tuples of {m or 'm'} arrays of shape ({n},), but makes "
+            f"{shown(state)}."
         )
-    if isinstance(chain, AbstractCells):
-        chain.dependence((jnp.zeros(n),) * len(shapes))  # raises unless there are m numbers
+    chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable
     return n
 
 

@@ -35,7 +35,6 @@ from .._types import ScalarLike, State
 from ..chaos.classification import verdicts
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
-from ..model.oscillators import AbstractOscillators
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
 from ..sweeps.lanes import RunStarts, with_numbers
@@ -379,8 +378,7 @@ def to_dataset(
         "share_at_end": (end, "share of the starts in the state when their runs ended"),
         "settling_time": (settling, "median time from which nothing changed"),
     }
-    known = isinstance(chain, AbstractOscillators)
-    units = {"settling_time": "1 / omega_n" if known else "1"}
+    units = {"settling_time": chain.time_unit}
     variables: dict[str, Any] = {
         name: (*over(values, "state"), {"long_name": text, "units": units.get(name, "1")})
         for name, (values, text) in about_k.items()
@@ -390,8 +388,7 @@ def to_dataset(
         {"long_name": "share in one sequence of starts", "units": "1"},
     )
     for k, values in enumerate(starts):
-        unit = ("x0", "x0 omega_n")[k] if known else "1"
-        name = chain.variable(k).name
+        name, unit, _ = chain.variable(k)
         attrs = {"long_name": f"{name} of a start that ends in the state", "units": unit}
         variables[f"start_{name}"] = (*over(values, "state", "oscillator"), attrs)
     if judge:

@@ -162,6 +162,20 @@ class AbstractField(PrintedAsCall, eqx.Module):
         """The |w| (see `switching`) up to which a mass sticks; None if no mass can stick."""
         return None
 
+    def neighbours(self, y: State) -> tuple[State, State]:
+        """(left, right): the neighbours of each cell; beyond a free end a copy of the last one."""
+        ends = "mirrored" if self.ends == "free" else "cyclic"
+        pairs = [neighbours(part, ends) for part in y]
+        return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
+
+    def excess_force(self, t: ScalarLike, left: State, own: State, right: State) -> PerMass:
+        """The force on a mass minus the greatest friction force; negative if friction can hold it.
+
+        A mass does not stick if this is positive.
+        """
+        del t, left, right
+        return jnp.full_like(own[0], -jnp.inf)
+
     def release_acceleration(self) -> PerMass | None:
         """The acceleration by the greatest friction force; None if it is not known."""
         return None
@@ -329,12 +343,6 @@ class AbstractCells(AbstractField):
     def dependence(self, y: State) -> Dependence:
         """The numbers on which each rate depends, see `Dependence`."""
         return dependence(self, len(y), y[0].shape[0])
-
-    def neighbours(self, y: State) -> tuple[State, State]:
-        """(left, right): the states of both neighbours of each cell."""
-        ends = "mirrored" if self.ends == "free" else "cyclic"
-        pairs = [neighbours(part, ends) for part in y]
-        return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
 
     def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
         """The time derivative of the state y."""

@@ -313,11 +313,18 @@ class Chain(AbstractOscillators):
         """p mu_st: masses are 1."""
         return self.static_limit()
 
-    def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
+    def excess_force(
+        self, t: ScalarLike, left: State, own: State, right: State
+    ) -> Float[Array, " n"]:
         """|r| - p mu_st with r the `free_force`; with dry friction a mass with w = 0 sticks."""
         if self.dry:
-            return super().excess_force(x, v)
-        return jnp.abs(self.free_force(x, v)) - self.static_limit()
+            return super().excess_force(t, left, own, right)
+        x, v = own
+        force = -self.stiffness_diagonal(self.n) * x - 2.0 * self.damping_ratio * v
+        if self.springs is not None:
+            lower, upper = self.springs.off_diagonals(self.n)
+            force = force + lower * left[0] + upper * right[0]
+        return jnp.abs(force) - self.static_limit()
 
     def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """r = -2 xi v - K x, the force on a mass without friction."""

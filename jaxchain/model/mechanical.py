@@ -277,8 +277,15 @@ class MechanicalCells(AbstractCells):
         return jnp.where(self.belt_speed < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass | None:
-        """0 with dry friction; None otherwise, because the force that would hold is not local."""
-        return to_float(0.0) if self.dry else None
+        """The speed of greatest friction, 0 if it is dry; None without friction."""
+        return None if self.friction is None else self.friction.stick_speed()
+
+    def excess_force(self, t: ScalarLike, left: State, own: State, right: State) -> PerMass:
+        """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry."""
+        if not isinstance(self.friction, TanhFriction):
+            return super().excess_force(t, left, own, right)
+        free, share = self.free_acceleration(t, left, own, right), self.compliance()
+        return jnp.abs(free[self.sliding] / share[self.sliding]) - self.static_limit()
 
     def release_acceleration(self) -> PerMass | None:
         """p mu_st times its share b_u of the contact; None without smoothed friction."""

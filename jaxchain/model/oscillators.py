@@ -111,14 +111,6 @@ class AbstractOscillators(AbstractField):
     def stiffness_diagonal(self, n: int) -> PerMass:
         """The diagonal k of K, a scalar or of shape (n,); add the springs' `row_sum(n)` to it."""
 
-    def excess_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-        """The force on a mass minus the greatest friction force; negative if friction can hold it.
-
-        A mass does not stick if this is positive.
-        """
-        del v
-        return jnp.full_like(x, -jnp.inf)
-
     def local_force_and_slopes(
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], LocalSlopes]:

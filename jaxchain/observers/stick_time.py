@@ -55,7 +55,7 @@ class StickTime(AbstractObserver):
         if field.stick_speed() is None:
             raise ValueError(
                 "`StickTime` needs masses that can stick to a belt: a `Chain`, or "
-                "`MechanicalCells` with dry friction."
+                "`MechanicalCells` with friction."
             )
         window = t1 - t0 if self.window is None else self.window
         return jnp.zeros_like(y0[0]), to_float(t1 - window)
@@ -99,8 +99,19 @@ def sticking(step: Step) -> tuple[Array, Array]:
         return jnp.abs(switching[0]) - limit
 
     def let_go(theta: Any) -> Array:
-        return field.excess_force(step.displacement(theta), step.velocity(theta))
+        # A neighbour at the time of this mass: its own theta is that of its neighbour.
+        (behind,), (ahead,) = field.neighbours((theta,))
+        own, at_end = step.state(theta), jnp.arange(theta.size)
+        left, right = (
+            tuple(jnp.where(ends, a, b) for a, b in zip(own, side, strict=True))
+            for ends, side in (
+                (alone & (at_end == 0), field.neighbours(step.state(ahead))[0]),
+                (alone & (at_end == theta.size - 1), field.neighbours(step.state(behind))[1]),
+            )
+        )
+        return field.excess_force(step.t0 + theta * (step.t1 - step.t0), left, own, right)
 
+    alone = field.ends == "free"
     begin, end = _where_negative(too_fast, step.y0[0])
     if field.dry:
         return begin, end

@@ -33,7 +33,7 @@ from .._checks import (
 from .._spelling import did_you_mean
 from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractCells, AbstractField
+from ..model.cells import AbstractField, StateVariable
 from ..model.chain import Chain
 from ..model.parameters import SPEED
 from ..model.units import Scales
@@ -113,7 +113,7 @@ def plot_time_series(
     (part, up, y_label), (across, x_label) = _named(states, chain, scales, y=y)
     picked, stuck = _checked(states, masses, chain)
     lines = np.broadcast_to(across * times[:, None], part.shape), up * part
-    belt = _belt(chain, part is states[1], up)
+    belt = _belt(chain, states, part, up)
     return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
@@ -153,7 +153,7 @@ def plot_phase_portrait(
     states = _checked_states(states, len(times))
     (over, across, x_label), (part, up, y_label), _ = _named(states, chain, scales, x=x, y=y)
     picked, stuck = _checked(states, masses, chain)
-    lines, belt = (across * over, up * part), _belt(chain, part is states[1], up)
+    lines, belt = (across * over, up * part), _belt(chain, states, part, up)
     return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
@@ -201,16 +201,19 @@ def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any
     check_scales(scales)
     if chain is not None:
         chain = as_chain(chain, AbstractField)
-    cells = isinstance(chain, AbstractCells) or len(states) != 2
-    if cells and scales is not None:
-        raise ValueError("Argument `scales` is for a chain: leave it out for cells.")
-    names: tuple[str, ...] = tuple(map(str, range(len(states))))
-    names = tuple(_UNITS) if not cells else getattr(chain, "components", ()) or names
-    if len(names) != len(states):
+    known = [] if chain is None else chain.variables
+    if chain is None and len(states) == 2:  # of a chain
+        known = [StateVariable(name, unit) for name, unit in _UNITS.items()]
+    if len(known or states) != len(states):
         raise ValueError(
             f"Argument `states` has {len(states)} parts, but a cell of `{type(chain).__name__}` "
-            f"has the {len(names)} components {', '.join(names)}."
+            f"has the {len(known)} components {', '.join(part.name for part in known)}."
         )
+    if scales is not None and not (known and known[0].unit != "1"):
+        raise ValueError("Argument `scales` is for a chain: leave it out for cells.")
+    if not known:
+        known = [StateVariable(str(k), "1", f"component {k}") for k in range(len(states))]
+    names = [part.name for part in known]
     drawn: list[Any] = []
     for key, given in asked.items():
         if given not in names and given not in range(len(names)):
@@ -219,17 +222,20 @@ def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any
                 f"is {shown(given)}{did_you_mean(given, names)}."
             )
         k = names.index(given) if given in names else int(given)
-        attrs = {"units": _UNITS.get(names[k], "")}
-        if cells:
-            attrs = {"units": "1", "long_name": names[k] if chain else f"component {k}"}
+        attrs = {"units": known[k].unit}
+        if known[k].unit == "1":
+            attrs["long_name"] = known[k].long_name
         drawn.append((states[k], *axis(names[k], attrs, scales)))
-    time = {"units": "1", "long_name": "time $t$"} if cells else {"units": "1 / omega_n"}
-    return [*drawn, axis("time", time, scales)]
+    timed = {"units": "1", "long_name": "time $t$"}
+    timed = timed if known[0].unit == "1" else {"units": "1 / omega_n"}
+    return [*drawn, axis("time", timed, scales)]
 
 
-def _belt(chain: Any, is_velocity: bool, factor: float) -> float | None:
-    known = isinstance(chain, Chain) and is_velocity
-    return factor * float(chain.belt_speed) if known else None
+def _belt(chain: Any, states: tuple[np.ndarray, ...], part: Any, factor: float) -> float | None:
+    """The belt speed in a picture of the velocity of a contact."""
+    if chain is None or not chain.frictional or part is not states[chain.contact]:
+        return None
+    return factor * float(chain.belt_speed)
 
 
 def _checked(
@@ -238,7 +244,7 @@ def _checked(
     """The masses to draw, and the times at which each mass sticks, if known."""
     n = states[0].shape[1]
     picked = [*range(n)] if masses is None else picked_masses(n, masses)
-    return picked, sticking(chain, states) if isinstance(chain, Chain) else None
+    return picked, _sticks(chain, states)
 
 
 def _draw_curves(
@@ -277,14 +283,15 @@ def _draw_curves(
     return axes
 
 
-def sticking(chain: Chain, states: Any) -> np.ndarray:
+def sticking(chain: AbstractField, states: Any) -> np.ndarray:
     """Which masses stick at each time, of shape (times, n).
 
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
     the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
     For states of a smoothed chain from `EventDriven`, use `chain.with_(width=None)`.
 
-    **Arguments:** `chain`; `states`, (x, v), each of shape (times, n).
+    **Arguments:** `chain`, or `MechanicalCells` with friction; `states`, (x, v), of cells all m
+    arrays, each of shape (times, n).
 
     **Returns:** booleans of that shape.
 
@@ -301,24 +308,44 @@ def sticking(chain: Chain, states: Any) -> np.ndarray:
         >>> sticks.shape, round(float(sticks.mean()), 2)  # the share of the time
         ((101, 1), 0.16)
     """
-    as_chain(chain)
-    if not isinstance(states, tuple | list) or len(states) != 2:
-        raise ValueError(f"Argument `states` must be the pair (x, v), but is {shown(states)}.")
-    x, v = (as_array("states", part, 2, 2, "those of some times.") for part in states)
-    if x.shape != v.shape or x.shape[1] != chain.n:
+    model: Any = as_chain(chain, AbstractField)
+    if model.stick_speed() is None:
         raise ValueError(
-            f"Argument `states` has parts of shapes {x.shape} and {v.shape}, but for {chain.n} "
-            f"masses both have shape (times, {chain.n})."
+            f"Argument `chain` is a {type(chain).__name__}, whose masses cannot stick: give a "
+            "`Chain`, or `MechanicalCells` with friction."
         )
-    rounding = RESOLUTION * (1.0 + jnp.abs(chain.belt_speed)) if chain.dry else 0.0
-    limit = chain.stick_speed() + rounding
+    m = len(chain.variables)
+    if not isinstance(states, tuple | list) or len(states) != m:
+        raise ValueError(
+            f"Argument `states` must be a tuple of {m} arrays, (x, v) of a chain, but is "
+            f"{shown(states)}."
+        )
+    parts = tuple(as_array("states", part, 2, 2, "those of some times.") for part in states)
+    shapes = {part.shape for part in parts}
+    if len(shapes) > 1 or parts[0].shape[1] != (chain.n or parts[0].shape[1]):
+        raise ValueError(
+            f"Argument `states` has parts of shapes {[part.shape for part in parts]}, but must "
+            f"have parts of one shape, (times, {chain.n or 'n'})."
+        )
+    rounding = RESOLUTION * (1.0 + jnp.abs(model.belt_speed)) if model.dry else 0.0
+    limit = model.stick_speed() + rounding
 
     @eqx.filter_jit
-    def held(x: Any, v: Any) -> Any:
-        w, _ = chain.switching(0.0, v)
-        return (jnp.abs(w) <= limit) & (chain.excess_force(x, v) <= 0)
+    def held(state: Any) -> Any:
+        layer: Any = chain.layer(0.0, state)
+        left, right = chain.neighbours(state)
+        excess = chain.excess_force(0.0, left, state, right)
+        return (jnp.abs(layer[0]) <= limit) & (excess <= 0)
 
-    return np.asarray(jax.vmap(held)(x, v))
+    return np.asarray(jax.vmap(held)(parts))
+
+
+def _sticks(chain: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
+    """`sticking`, or None where it is not known."""
+    if chain is None or chain.stick_speed() is None:
+        return None
+    # The force that holds a contact under forcing depends on the time of a state.
+    return sticking(chain, states) if chain.dry or chain.forcing_period() is None else None
 
 
 def loop(

@@ -14,7 +14,7 @@ import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -242,8 +242,8 @@ def _run_group(
         data, interrupt = stopped.dataset, stopped
     unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
     starts = _OF_THE_START
-    if isinstance(chain, AbstractCells) and isinstance(experiment, CellsExperiment):
-        names = component_names(experiment, chain)
+    if isinstance(experiment, CellsExperiment):
+        names = component_names(experiment, cast(AbstractCells, chain))
         unwanted |= {f"{quantity}_{name}" for quantity in unwanted for name in names}
         swept = set(experiment.sweep) - chain.numbers().keys()
         starts = {name: (f"{name} at the start", "1") for name in swept}
