@@ -18,7 +18,7 @@ import numpy as np
 from peers import CompiledRing
 from timing import Skipped
 
-from jaxchain.simulation.accuracy import MAX_STEP
+from jaxchain.simulation.method import MAX_STEP
 from jaxchain.solvers import step_control
 
 SOURCE = """

@@ -17,7 +17,7 @@ from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
 from jaxchain.boundaries import dry_fold_belt_speed
 from jaxchain.model import AbstractCells, AbstractFrictionLaw, AbstractOscillators
 from jaxchain.observers import AbstractObserver, Divergence, Variable
-from jaxchain.simulation.accuracy import fit_linear_solve
+from jaxchain.simulation.method import fit_linear_solve
 from jaxchain.solvers import AbstractStructuredRosenbrock
 from jaxchain.solvers.rosenbrock import RODAS4, RODAS5P
 
@@ -225,8 +225,8 @@ class Told(Slow):
     def stick_speed(self):
         return jnp.asarray(0.5)
 
-    def excess_force(self, x, v):
-        return -x
+    def excess_force(self, t, left, own, right):
+        return -own[0]
 
     def belt_direction(self):
         return -1.0

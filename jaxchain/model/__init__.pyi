@@ -17,7 +17,6 @@ from .mechanical import MechanicalCells as MechanicalCells
 from .oscillators import AbstractOscillators as AbstractOscillators
 from .oscillators import LocalSlopes as LocalSlopes
 from .ready_made import BurridgeKnopoff as BurridgeKnopoff
-from .ready_made import Dahl as Dahl
 from .ready_made import Duffing as Duffing
 from .ready_made import LuGre as LuGre
 from .ready_made import ModeCoupling as ModeCoupling

@@ -48,19 +48,26 @@ def _number(name: str, check: Callable[[str, Any], None] = check_positive) -> Ca
     return convert
 
 
-def _check(cells: AbstractCells) -> None:
-    """Raises `ValueError` for numbers of different lengths, and for unknown `ends`."""
-    check_one_of("ends", cells.ends, get_args(Ends))
-    check_per_mass(**cells.numbers())
-
-
 def _bend(left: State, own: State, right: State) -> Float[Array, " n"]:
     """The second difference x_{n-1} - 2 x_n + x_{n+1} of the first number."""
     return left[0] - 2.0 * own[0] + right[0]
 
 
+class _AbstractReadyMade(AbstractCells):
+    """Cells whose numbers are one for all cells, or one for each."""
+
+    def __check_init__(self) -> None:
+        check_one_of("ends", self.ends, get_args(Ends))
+        check_per_mass(**self.numbers())
+
+    @property
+    def n(self) -> int | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The number of cells; None if every number is one for all."""
+        return max((len(a) for a in self.numbers().values() if a.ndim), default=None)
+
+
 @final
-class ModeCoupling(AbstractCells):
+class ModeCoupling(_AbstractReadyMade):
     """Two modes of one mass, which friction couples to flutter.
 
     x'' + c1 x' + k11 x + k3 x^3 + (k12 - mu k_c) y + eta (2 x_n - x_{n-1} - x_{n+1}) = 0,
@@ -113,9 +120,6 @@ class ModeCoupling(AbstractCells):
     components = ("x", "y", "x'", "y'")
     contact = 2
 
-    def __check_init__(self) -> None:
-        _check(self)
-
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
         x, y, vx, vy = own
         friction = self.friction * self.contact_stiffness * y
@@ -125,7 +129,7 @@ class ModeCoupling(AbstractCells):
         return vx, vy, force_x - self.damping_x * vx, force_y - self.damping_y * vy
 
 
-class _AbstractPulled(AbstractCells):
+class _AbstractPulled(_AbstractReadyMade):
     """Blocks pulled by springs, whose first number is the stretch u, with u' = V - v."""
 
     def belt_direction(self) -> ScalarLike:
@@ -145,13 +149,18 @@ class LuGre(_AbstractPulled):
     and z the deflection of the bristles.  The third number of a state is sigma0 z, the force of
     the bristles: it is of the size of F_C, while z may be below the tolerances of a run.
 
+    With sigma1 = 0 and F_S = F_C it is Dahl's model, which has hysteresis, but no stick-slip: after
+    a path x in one direction from z = 0 the force of the bristles is F_C [1 - exp(-sigma0 |x| /
+    F_C)], whatever the speed.
+
     Source: Canudas de Wit, Olsson, Astrom, Lischinsky, A new model for control of systems with
     friction, IEEE Transactions on Automatic Control 40 (1995).  The default numbers are theirs
-    for stick-slip, in SI units; sigma1 is sqrt(sigma0).
+    for stick-slip, in SI units; sigma1 is sqrt(sigma0).  Dahl, Solid friction damping of mechanical
+    vibrations, AIAA Journal 14 (1976).
 
-    **Arguments:** `mass` = m, `stiffness` = k, `speed` = V, `bristle_stiffness` = sigma0,
-    `coulomb_force` = F_C, `static_force` = F_S and `stribeck_speed` = v_s, all > 0;
-    `bristle_damping` = sigma1, `viscosity` = sigma2 >= 0; `coupling` = eta.
+    **Arguments:** `mass` = m, `stiffness` = k, `bristle_stiffness` = sigma0, `coulomb_force` = F_C,
+    `static_force` = F_S and `stribeck_speed` = v_s, all > 0; `speed` = V; `bristle_damping` =
+    sigma1, `viscosity` = sigma2 >= 0; `coupling` = eta.
 
     **Raises:** `ValueError` for anything else.
 
@@ -170,7 +179,7 @@ class LuGre(_AbstractPulled):
 
     mass: PerMass = eqx.field(converter=_number("mass"), default=1.0)
     stiffness: PerMass = eqx.field(converter=_number("stiffness"), default=2.0)
-    speed: PerMass = eqx.field(converter=_number("speed"), default=0.1)
+    speed: PerMass = eqx.field(converter=_number("speed", check_finite), default=0.1)
     bristle_stiffness: PerMass = eqx.field(converter=_number("bristle_stiffness"), default=1e5)
     bristle_damping: PerMass = eqx.field(
         converter=_number("bristle_damping", check_nonnegative), default=1e5**0.5
@@ -183,9 +192,6 @@ class LuGre(_AbstractPulled):
     ends: Ends = eqx.field(static=True, default="cyclic")
     components = ("stretch", "velocity", "bristle_force")
 
-    def __check_init__(self) -> None:
-        _check(self)
-
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
         u, v, bristles = own
         drop = self.static_force - self.coulomb_force
@@ -193,60 +199,6 @@ class LuGre(_AbstractPulled):
         bending = v - jnp.abs(v) * bristles / limit
         friction = bristles + self.bristle_damping * bending + self.viscosity * v
         force = self.stiffness * u - friction - self.coupling * _bend(left, own, right)
-        return self.speed - v, force / self.mass, self.bristle_stiffness * bending
-
-
-@final
-class Dahl(_AbstractPulled):
-    """A block pulled over a surface that holds it by bristles: Dahl's model of friction.
-
-    u' = V - v,   m v' = k u - F - eta (u_{n-1} - 2 u_n + u_{n+1}),
-    z' = v - sigma0 |v| z / F_C,   F = sigma0 z + sigma2 v.
-
-    `LuGre` without damping of the bristles and with the same friction at every speed: it has
-    hysteresis, but no stick-slip.  After a path x in one direction from z = 0 the force of the
-    bristles is F_C [1 - exp(-sigma0 |x| / F_C)], whatever the speed.  The third number of a state
-    is this force, sigma0 z.
-
-    Sources: Dahl, A solid friction model, The Aerospace Corporation, TOR-0158 (1968); Dahl, Solid
-    friction damping of mechanical vibrations, AIAA Journal 14 (1976).
-
-    **Arguments** (of any system of units): `mass` = m, `stiffness` = k, `bristle_stiffness` =
-    sigma0 and `coulomb_force` = F_C, all > 0; `speed` = V; `viscosity` = sigma2 >= 0;
-    `coupling` = eta.
-
-    **Raises:** `ValueError` for anything else.
-
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import simulate
-        >>> from jaxchain.model import Dahl
-        >>> block = Dahl(1.0, 0.5, bristle_stiffness=10.0, coulomb_force=1.0, viscosity=0.5)
-        >>> stretch, velocity, force = simulate(block, (jnp.zeros(1),) * 3, 60.0).state
-        >>> [round(float(part[0]), 3) for part in (stretch, velocity, force)]
-        [1.25, 0.5, 1.0]
-    """
-
-    stiffness: PerMass = eqx.field(converter=_number("stiffness"))
-    speed: PerMass = eqx.field(converter=_number("speed", check_finite))
-    bristle_stiffness: PerMass = eqx.field(converter=_number("bristle_stiffness"))
-    coulomb_force: PerMass = eqx.field(converter=_number("coulomb_force"))
-    mass: PerMass = eqx.field(converter=_number("mass"), default=1.0)
-    viscosity: PerMass = eqx.field(converter=_number("viscosity", check_nonnegative), default=0.0)
-    coupling: PerMass = eqx.field(converter=_number("coupling", check_finite), default=0.0)
-    ends: Ends = eqx.field(static=True, default="cyclic")
-    components = ("stretch", "velocity", "bristle_force")
-
-    def __check_init__(self) -> None:
-        _check(self)
-
-    def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
-        u, v, bristles = own
-        bending = v - jnp.abs(v) * bristles / self.coulomb_force
-        force = self.stiffness * u - bristles - self.viscosity * v
-        force = force - self.coupling * _bend(left, own, right)
         return self.speed - v, force / self.mass, self.bristle_stiffness * bending
 
 
@@ -310,7 +262,6 @@ class RateAndState(_AbstractPulled):
 
     def __check_init__(self) -> None:
         check_one_of("law", self.law, ("aging", "slip"))
-        _check(self)
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
         u, log_v, log_age = own
@@ -327,7 +278,7 @@ class RateAndState(_AbstractPulled):
 
 
 @final
-class Duffing(AbstractCells):
+class Duffing(_AbstractReadyMade):
     """Driven oscillators with a cubic spring.
 
     m x'' + c x' + k x + k3 x^3 + eta (2 x_n - x_{n-1} - x_{n+1}) = F cos(omega t).
@@ -364,7 +315,6 @@ class Duffing(AbstractCells):
 
     def __check_init__(self) -> None:
         check_number("frequency", self.frequency)
-        _check(self)
 
     def forcing_period(self) -> ScalarLike:
         """2 pi / omega."""
@@ -378,7 +328,7 @@ class Duffing(AbstractCells):
 
 
 @final
-class Pendulums(AbstractCells):
+class Pendulums(_AbstractReadyMade):
     """Pendulums of any lengths on a support that is shaken vertically, with springs between bobs.
 
     l_n theta_n'' + c l_n theta_n' + [1 + A omega^2 cos(omega t)] sin theta_n = eta [
@@ -426,7 +376,6 @@ class Pendulums(AbstractCells):
     def __check_init__(self) -> None:
         check_number("amplitude", self.amplitude)
         check_number("frequency", self.frequency)
-        _check(self)
 
     def forcing_period(self) -> ScalarLike:
         """2 pi / omega."""
@@ -443,7 +392,7 @@ class Pendulums(AbstractCells):
 
 
 @final
-class VanDerPol(AbstractCells):
+class VanDerPol(_AbstractReadyMade):
     """Van der Pol's oscillators, which excite themselves.
 
     x'' - mu (1 - x^2) x' + x + eta (2 x_n - x_{n-1} - x_{n+1}) = 0.
@@ -469,9 +418,6 @@ class VanDerPol(AbstractCells):
     coupling: PerMass = eqx.field(converter=_number("coupling", check_finite), default=0.0)
     ends: Ends = eqx.field(static=True, default="cyclic")
     components = ("displacement", "velocity")
-
-    def __check_init__(self) -> None:
-        _check(self)
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Rates:
         x, v = own
@@ -524,7 +470,6 @@ class BurridgeKnopoff(_AbstractPulled):
     def __check_init__(self) -> None:
         wanted = "smoothed friction, `TanhFriction(law, width)`"
         check_kind("friction", self.friction, TanhFriction, wanted)
-        _check(self)
 
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]

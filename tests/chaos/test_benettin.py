@@ -23,11 +23,11 @@ from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model.springs import Springs
 from jaxchain.observers.energy_balance import Divergence
 from jaxchain.observers.stick_time import MostSticking
-from jaxchain.simulation.run import build_plan
+from jaxchain.simulation import Method
 
 
 def start(solver, observer, field, state, t1, rtol, basis):
-    plan = build_plan(solver, [observer], rtol, 0.1 * rtol, 0.5, t1)
+    plan = Method(solver, rtol, 0.1 * rtol, 0.5).plan([observer], t1)
     return plan, Frame(plan.begin(field, state, 0.0, t1), basis)
 
 

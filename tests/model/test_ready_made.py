@@ -14,7 +14,6 @@ from scipy.integrate import solve_ivp
 from jaxchain import ExponentialDecay, TanhFriction, find_limit_cycle, simulate
 from jaxchain.model import (
     BurridgeKnopoff,
-    Dahl,
     Duffing,
     LuGre,
     ModeCoupling,
@@ -59,15 +58,6 @@ def lugre(p, t, y, d):
     g = p.coulomb_force + drop * np.exp(-((v / p.stribeck_speed) ** 2))
     dz = v - p.bristle_stiffness * abs(v) * z / g
     friction = p.bristle_stiffness * z + p.bristle_damping * dz + p.viscosity * v
-    dv = (p.stiffness * u - friction - p.coupling * d) / p.mass
-    return p.speed - v, dv, p.bristle_stiffness * dz
-
-
-def dahl(p, t, y, d):
-    u, v, force = y
-    z = force / p.bristle_stiffness
-    dz = v - p.bristle_stiffness * abs(v) * z / p.coulomb_force
-    friction = p.bristle_stiffness * z + p.viscosity * v
     dv = (p.stiffness * u - friction - p.coupling * d) / p.mass
     return p.speed - v, dv, p.bristle_stiffness * dz
 
@@ -117,7 +107,7 @@ def pendulums(p, t, angle, lengths):
 
 
 BY_HAND = {
-    ModeCoupling: mode_coupling, LuGre: lugre, Dahl: dahl, RateAndState: rate_and_state,
+    ModeCoupling: mode_coupling, LuGre: lugre, RateAndState: rate_and_state,
     Duffing: duffing, VanDerPol: van_der_pol, BurridgeKnopoff: burridge_knopoff,
 }  # fmt: skip
 CLASSES = [*BY_HAND, Pendulums]
@@ -240,8 +230,8 @@ def test_the_cycle_of_a_lugre_block_advances_by_the_way_of_the_spring():
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_the_force_of_dahls_bristles_depends_on_the_path_alone(direction):
-    block = Dahl(
-        2.0, 0.5 * direction, bristle_stiffness=10.0, coulomb_force=0.8, viscosity=0.3, mass=2.0
+    block = LuGre(
+        2.0, 2.0, 0.5 * direction, 10.0, 0.0, 0.3, coulomb_force=0.8, static_force=0.8
     )
     start = (jnp.array([1.5 * direction]), jnp.array([0.2 * direction]), jnp.array([0.4]))
     times = jnp.linspace(0.0, 1.5, 16)

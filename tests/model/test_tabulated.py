@@ -14,7 +14,7 @@ from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.model.units import Scales
 from jaxchain.observers.samples import Trajectory
 from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.simulation.run import build_plan, simulate
+from jaxchain.simulation import Method, simulate
 from jaxchain.sweeps.ensemble import describe
 from jaxchain.sweeps.sweeping import sweep
 
@@ -96,7 +96,7 @@ def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
 
 
 def test_a_dataset_says_from_which_table_it_comes():
-    plan = build_plan(EventDriven(), [], 1e-6, 1e-7, 0.5, 1.0)
+    plan = Method(EventDriven(), 1e-6, 1e-7, 0.5).plan([], 1.0)
     attrs = describe(chain(), 1, plan, t0=0.0, t1=1.0, swept=["belt_speed"])
     assert str(SPEED) in attrs["parameters"]
     assert str(MU) in attrs["parameters"]

@@ -88,20 +88,15 @@ def rows() -> Iterator[Row]:
 # Of the ready-made models, by their sign: the numbers one for each cell, and those of all cells.
 READY_MADE = {
     model.BurridgeKnopoff: {"positive": "stiffness mass", "any": "speed coupling"},
-    model.Dahl: {
-        "positive": "stiffness bristle_stiffness coulomb_force mass",
-        "nonnegative": "viscosity",
-        "any": "speed coupling",
-    },
     model.Duffing: {
         "positive": "mass", "any": "force damping stiffness cubic coupling",
         "one": "frequency",
     },
     model.LuGre: {
-        "positive": "mass stiffness speed bristle_stiffness coulomb_force static_force "
+        "positive": "mass stiffness bristle_stiffness coulomb_force static_force "
         "stribeck_speed",
         "nonnegative": "bristle_damping viscosity",
-        "any": "coupling",
+        "any": "speed coupling",
     },
     model.ModeCoupling: {
         "positive": "stiffness_x stiffness_y contact_stiffness",

@@ -501,7 +501,7 @@ def test_ready_made_cells_are_made_from_their_tables(modes):
     np.testing.assert_array_equal(start(cells)[1], [2.0, 2.0])
     np.testing.assert_array_equal(start(cells, component_1=0.5)[1], [0.5, 0.5])
     assert set(READY_MADE) == {
-        *("ModeCoupling", "LuGre", "Dahl", "RateAndState", "Duffing", "Pendulums", "VanDerPol"),
+        *("ModeCoupling", "LuGre", "RateAndState", "Duffing", "Pendulums", "VanDerPol"),
         "BurridgeKnopoff",
     }
 

@@ -24,7 +24,7 @@ from jaxchain import (
 )
 from jaxchain.observers import settled
 from jaxchain.simulation import choose_numerics
-from jaxchain.simulation.accuracy import default_rtol
+from jaxchain.simulation.method import default_rtol
 
 SETS, N = 20, 5
 # A series shorter than what suits a tight tolerance takes more steps, but compiles fast.
@@ -223,15 +223,15 @@ def test_what_the_page_on_trust_says_of_a_width_of_1e_3():
 
 
 def test_the_tolerance_follows_a_width_down_from_what_was_asked_for():
-    assert default_rtol(1, 1e-6, -0.9) == pytest.approx(1e-6 / 3)
-    assert default_rtol(1, 1e-2, [0.1, 0.9]) == 1e-6
-    assert default_rtol(4, [1e-2, 1e-6], 0.9) == pytest.approx(1e-6 / 6)
+    assert default_rtol(1, (1e-6, -0.9)) == pytest.approx(1e-6 / 3)
+    assert default_rtol(1, (1e-2, [0.1, 0.9])) == 1e-6
+    assert default_rtol(4, ([1e-2, 1e-6], 0.9)) == pytest.approx(1e-6 / 6)
 
 
 def test_a_stock_solver_needs_a_tolerance_ten_times_as_tight():
     chain = paper_chain(1, 1.2).with_(width=1e-3)
     start = equation_8(chain, 1)
-    assert default_rtol(1, 1e-6, 0.9, Tsit5()) == pytest.approx(1e-6 / 30)
+    assert default_rtol(1, (1e-6, 0.9), Tsit5()) == pytest.approx(1e-6 / 30)
     simulate(chain, start, 1.0, rtol=5e-4)
     with pytest.raises(ValueError, match="too loose"):
         simulate(chain, start, 1.0, rtol=5e-4, solver=Tsit5())

@@ -24,7 +24,7 @@ from jaxchain import (
     steady_sliding,
 )
 from jaxchain.result import NAMES, code, message
-from jaxchain.simulation.accuracy import choose_solver
+from jaxchain.simulation.method import choose_solver
 
 CHAIN = paper_chain(4, belt_speed=1.4)
 START = equation_8(CHAIN, 2)

@@ -9,14 +9,14 @@ import pytest
 
 from jaxchain import Amplitude, Rodas4, equation_8, paper_chain, simulate
 from jaxchain.result import Result
-from jaxchain.simulation.run import build_plan
+from jaxchain.simulation import Method
 
 KEPT = 20  # states, of many more steps
 
 
 def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     chain = paper_chain(3, belt_speed=1.3)
-    plan = build_plan(Rodas4(), [], 1e-6, 1e-7, 1.0, 20.0)
+    plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan([], 20.0)
     begun = plan.begin(chain, equation_8(chain, 2), 0.0, 20.0)
 
     def go_on(now, most):
@@ -65,7 +65,8 @@ def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
 def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
     """Also where only the first ones are recorded; here an observer ends the run."""
     chain = paper_chain(1, belt_speed=1.3)
-    plan = build_plan(Rodas4(), [Amplitude(5.0, "steady", tolerance=0.5)], 1e-6, 1e-7, 1.0, 200.0)
+    watch = [Amplitude(5.0, "steady", tolerance=0.5)]
+    plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan(watch, 200.0)
     begun = plan.begin(chain, equation_8(chain, 1), 0.0, 200.0)
 
     @jax.jit
