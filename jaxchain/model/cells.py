@@ -109,10 +109,10 @@ class AbstractField(PrintedAsCall, eqx.Module):
         return None if layer is None else (layer[1], jnp.abs(layer[0]))
 
     def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any] | None:
-        """(law, load, belt speed, mobility) of smoothed friction; None if it is not known.
+        """(law, load, belt speed, unit) of smoothed friction; None if it is not known.
 
-        The mobility is the velocity amplitude that a unit force at the contact gives, for one mass
-        1 / sqrt(k m).
+        The unit is the velocity amplitude that a force of the nominal load P gives to a contact,
+        for one mass P / sqrt(k m); the load is relative to P.
         """
 
     def dependence(self, y: State) -> Dependence | None:

@@ -262,7 +262,7 @@ class Chain(AbstractOscillators):
         return None if self.dry else (self.width, jnp.abs(self.belt_speed))
 
     def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any]:
-        """With a mobility of 1, that of the nominal mass."""
+        """In the units of the nominal mass."""
         return self.law, self.load, self.belt_speed, 1.0
 
     def description(self, n: int) -> dict[str, Any]:

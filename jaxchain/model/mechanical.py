@@ -295,14 +295,15 @@ class MechanicalCells(AbstractCells):
         return self.static_limit() * share
 
     def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any] | None:
-        """The mobility is sqrt(b_u / K_uu), of the greatest K_uu."""
+        """The unit is P sqrt(b_u / K_uu) with the greatest load P, cell by cell."""
         if self.friction is None:
             return None
         u = self.sliding
         held: Any = _entries(self.stiffness, self.d)[u][u]
         share: Any = self.compliance()[u]
-        mobility = jnp.sqrt(jnp.max(share / jnp.where(held > 0, held, 1.0)))
-        return self.law, self.normal_load, self.belt_speed, mobility
+        nominal = jnp.max(self.normal_load)
+        unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(held > 0, held, 1.0)))
+        return self.law, 1.0, self.belt_speed, unit
 
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""

@@ -488,5 +488,5 @@ class BurridgeKnopoff(_AbstractPulled):
 
     def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any]:
         """The block's own friction: the load is 1."""
-        mobility = 1.0 / jnp.sqrt(jnp.min(self.stiffness * self.mass))
-        return self.friction.law, 1.0, jnp.max(jnp.abs(self.speed)), mobility
+        unit = 1.0 / jnp.sqrt(jnp.min(self.stiffness * self.mass))
+        return self.friction.law, 1.0, jnp.max(jnp.abs(self.speed)), unit

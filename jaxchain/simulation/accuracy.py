@@ -94,8 +94,8 @@ def choose_numerics(chain: AbstractField, accuracy: Any) -> Numerics:
     width 4.2e-04, rtol 2.8e-05, Rodas4(sweeps=1)
     """
     check_accuracy(chain, accuracy)
-    law, load, speed, mobility = cast(tuple, chain.friction_scales())
-    load = mobility * jnp.max(load)
+    law, load, speed, unit = cast(tuple, chain.friction_scales())
+    load = unit * jnp.max(load)  # forces count by the velocities that they give
     zero = jnp.zeros_like(jnp.asarray(law.mu_static, float))
     _, slope = jax.jvp(law.coefficient, (zero,), (jnp.ones_like(zero),))
     slope = load * jnp.maximum(jnp.max(jnp.abs(slope)), 1e-12)
@@ -111,7 +111,7 @@ def choose_numerics(chain: AbstractField, accuracy: Any) -> Numerics:
         return allowed / (1.0 + 0.5 * slope * (logarithm + 1.0))
 
     width = lax.fori_loop(0, 30, shorter, jnp.asarray(allowed, float))
-    rtol = _RTOL_PER_WIDTH * width / jnp.maximum(jnp.abs(speed), 1.0)
+    rtol = _RTOL_PER_WIDTH * width / jnp.maximum(jnp.abs(speed), unit)
     solver = choose_solver(chain, 1e-9 if is_traced(rtol) else float(rtol))
     return Numerics(*lax.stop_gradient((width, rtol)), solver)
 

@@ -251,8 +251,8 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
 
 def _numerics(
-    chain: Chain,
-    vary: Callable[..., Chain] | None,
+    chain: AbstractField,
+    vary: Callable[..., Any] | None,
     jobs: Mapping[str, np.ndarray],
     accuracy: float,
 ) -> tuple[np.ndarray, float]:
