@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import check_known, to_float
-from .._final import refuse_overrides
+from .._final import refuse_overrides, require_signature
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
 from .friction import AbstractFriction, AbstractFrictionLaw
@@ -323,6 +323,7 @@ class AbstractCells(AbstractField):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         refuse_overrides(cls, AbstractCells, CELLS_FINAL)
+        require_signature(cls, rate="t, left, own, right", switching="t, v")
 
     @abc.abstractmethod
     def rate(

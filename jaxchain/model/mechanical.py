@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, get_args
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
@@ -34,7 +35,8 @@ from .springs import Ends
 from .tridiagonal import Entries, factor, substitute
 
 # The fields with an entry for each displacement, unless they are one number for all of them.
-_OF_DISPLACEMENTS = ("stiffness", "mass", "damping", "coupling", "force")
+_MATRICES = ("stiffness", "mass", "damping", "coupling", "coupling_damping")
+_OF_DISPLACEMENTS = (*_MATRICES, "force")
 
 Parts = tuple[Float[Array, " n"], ...]
 # One number, (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each cell.
@@ -60,7 +62,8 @@ def _friction(friction: Any) -> Any:
 class MechanicalCells(AbstractCells):
     """Cells of d displacements q with masses, springs, dampers, dry or smoothed friction, forcing.
 
-    M q_n'' + D q_n' + K q_n + C (2 q_n - q_{n-1} - q_{n+1}) = s(q_{n+1} - q_n) - s(q_n - q_{n-1})
+    M q_n'' + D q_n' + K q_n + (C + B d/dt) (2 q_n - q_{n-1} - q_{n+1})
+        = s(q_{n+1} - q_n) - s(q_n - q_{n-1})
         + g(q_n, q_n') + p F(u_n' - v_d) e_u + f cos(omega t),
 
     where u is the displacement number `sliding` of a cell, which slides on the belt, and e_u its
@@ -76,12 +79,13 @@ class MechanicalCells(AbstractCells):
 
     **Arguments** (dimensionless, or of any system of units):
 
-    - `stiffness` = K, `mass` = M, `damping` = D, `coupling` = C: one number (times the unit
-      matrix), shape (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each cell.  M must
-      be symmetric and positive definite; K may be singular or not symmetric.
-    - `spring` = s: the force of a nonlinear spring between neighbours.  It takes d elongations of
-      shape (n,) and returns d forces, with s(0) = 0.
-    - `local_force` = g: further forces on a cell, of its d displacements and d velocities.
+    - `stiffness` = K, `mass` = M, `damping` = D, `coupling` = C, `coupling_damping` = B: a number
+      (times the unit matrix), shape (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each
+      cell.  M must be symmetric and positive definite; K may be singular or not symmetric.
+    - `spring` = s: the force of a nonlinear spring between neighbours, a function (e) of the tuple
+      of d elongations that returns d forces, with s(0) = 0.
+    - `local_force` = g: further forces on a cell, a function (q, v) of the tuples of its d
+      displacements and d velocities.
     - `friction`: a law of `jaxchain.model` for dry friction, or `TanhFriction`; `belt_speed` = v_d
       and `normal_load` = p >= 0; `sliding`, which displacement slides, counted from 0.
     - `force` = f, one number or shape (d,); `frequency` = omega > 0.
@@ -130,10 +134,13 @@ class MechanicalCells(AbstractCells):
     ends: Ends = eqx.field(static=True, default="cyclic")
     names: tuple[str, ...] | None = eqx.field(static=True, default=None)
     n: int | None = eqx.field(static=True, default=None)
+    coupling_damping: Matrix | None = eqx.field(
+        converter=optional("coupling_damping"), default=None
+    )
 
     def __post_init__(self) -> None:
         if self.n is None:  # known from a matrix for each cell, or a load or law for each
-            matrices = (self.stiffness, self.mass, self.damping, self.coupling)
+            matrices = [getattr(self, name) for name in _MATRICES]
             counts = [np.shape(a)[0] for a in matrices if a is not None and np.ndim(a) == 3]
             friction = self.friction if isinstance(self.friction, AbstractFriction) else None
             each = [self.normal_load, *(friction.numbers().values() if friction else ())]
@@ -144,7 +151,7 @@ class MechanicalCells(AbstractCells):
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))
         d = self.d
-        for name in _OF_DISPLACEMENTS[:4]:
+        for name in _MATRICES:
             value = getattr(self, name)
             if value is None:
                 continue
@@ -188,20 +195,37 @@ class MechanicalCells(AbstractCells):
         per_cell = {"normal_load": self.normal_load}
         if self.friction is not None:
             per_cell |= self.friction.numbers()
-        for name in ("stiffness", "mass", "damping", "coupling"):
+        for name in _MATRICES:
             value = getattr(self, name)
             if value is not None and value.ndim == 3:
                 per_cell[name] = value[:, 0, 0]
         check_per_mass(**per_cell)
-        if self.spring is not None:
-            rest = self.spring(*[jnp.zeros(1)] * d)
-            if len(rest) != d or not (is_traced(rest) or all(np.all(f == 0) for f in rest)):
-                law = getattr(self.spring, "func", self.spring)
-                raise ValueError(
-                    f"Argument `spring` must return {d} forces that vanish without elongation, "
-                    f"but is {shown(law)} and returns {[str(f) for f in rest]}: springs beyond "
-                    "free ends exert no force."
-                )
+        at_rest = (jnp.zeros(1),) * d
+        self._check_law("spring", self.spring, "e", at_rest)
+        self._check_law("local_force", self.local_force, "q, v", at_rest, at_rest)
+        rest = () if self.spring is None else self.spring(at_rest)
+        if not (is_traced(rest) or all(np.all(f == 0) for f in rest)):
+            raise ValueError(
+                "Argument `spring` must return forces that vanish without elongation, but "
+                f"returns {[str(f) for f in rest]}: springs beyond free ends exert no force."
+            )
+
+    def _check_law(self, name: str, law: Any, arguments: str, *parts: Parts) -> None:
+        """Raises `ValueError` unless the law returns a force for each displacement."""
+        if law is None:
+            return
+        cause = None
+        try:
+            forces = jax.eval_shape(law, *parts)
+            good = isinstance(forces, tuple | list) and len(forces) == self.d
+        except (TypeError, ValueError, IndexError) as error:
+            forces, good, cause = error, False, error
+        if not good:
+            raise ValueError(
+                f"Argument `{name}` must be a function ({arguments}) of tuples of {self.d} arrays "
+                f"that returns a tuple of {self.d} forces, but {shown(getattr(law, 'func', law))} "
+                f"{'fails: ' if cause else 'returns '}{shown(forces)}"
+            ) from cause
 
     def _check_change(self, name: str, number: Array) -> None:
         """One number in the place of several would act on all displacements, unnoticed."""
@@ -219,7 +243,7 @@ class MechanicalCells(AbstractCells):
     @property
     def d(self) -> int:
         """The number of displacements of a cell."""
-        matrices = self.stiffness, self.mass, self.damping, self.coupling
+        matrices = [getattr(self, name) for name in _MATRICES]
         sizes = [a.shape[-1] for a in matrices if a is not None and a.ndim]
         return sizes[0] if sizes else 1
 
@@ -331,9 +355,12 @@ class MechanicalCells(AbstractCells):
         if self.coupling is not None:
             bend = [a - b for a, b in zip(ahead, behind, strict=True)]
             add(_product(_entries(self.coupling, d), bend))
+        if self.coupling_damping is not None:
+            turn = [a - 2.0 * b + c for a, b, c in zip(left[d:], v, right[d:], strict=True)]
+            add(_product(_entries(self.coupling_damping, d), turn))
         if self.spring is not None:
-            add(self.spring(*ahead))
-            add(self.spring(*behind), -1.0)
+            add(self.spring(tuple(ahead)))
+            add(self.spring(tuple(behind)), -1.0)
         if self.local_force is not None:
             add(self.local_force(q, v))
         if self.force is not None:

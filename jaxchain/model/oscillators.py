@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._final import final, refuse_overrides
+from .._final import final, refuse_overrides, require_signature
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractField, StateVariable
 from .locality import FINAL, check_local, local_dependence
@@ -95,6 +95,7 @@ class AbstractOscillators(AbstractField):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         refuse_overrides(cls, AbstractOscillators, FINAL)
+        require_signature(cls, local_force="t, x, v", stiffness_diagonal="n", switching="t, v")
         if callable(vars(cls).get("rate")):  # a number of this name is welcome
             raise TypeError(
                 f"Class `{cls.__name__}` defines `rate`, which some computations would ignore: "

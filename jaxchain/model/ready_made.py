@@ -149,17 +149,17 @@ class LuGre(_AbstractPulled):
     and z the deflection of the bristles.  The third number of a state is sigma0 z, the force of
     the bristles: it is of the size of F_C, while z may be below the tolerances of a run.
 
-    With sigma1 = 0 and F_S = F_C it is Dahl's model, which has hysteresis, but no stick-slip: after
-    a path x in one direction from z = 0 the force of the bristles is F_C [1 - exp(-sigma0 |x| /
-    F_C)], whatever the speed.
+    With sigma1 = 0 and F_S = F_C it is Dahl's model, which has hysteresis, but no stick-slip.
+    After a path x in one direction from z = 0 the force of the bristles is there F_C [1 -
+    exp(-sigma0 |x| / F_C)], whatever the speed.
 
     Source: Canudas de Wit, Olsson, Astrom, Lischinsky, A new model for control of systems with
     friction, IEEE Transactions on Automatic Control 40 (1995).  The default numbers are theirs
-    for stick-slip, in SI units; sigma1 is sqrt(sigma0).  Dahl, Solid friction damping of mechanical
-    vibrations, AIAA Journal 14 (1976).
+    for stick-slip, in SI units; sigma1 is sqrt(sigma0).  Dahl, Solid friction damping of
+    mechanical vibrations, AIAA Journal 14 (1976).
 
-    **Arguments:** `mass` = m, `stiffness` = k, `bristle_stiffness` = sigma0, `coulomb_force` = F_C,
-    `static_force` = F_S and `stribeck_speed` = v_s, all > 0; `speed` = V; `bristle_damping` =
+    **Arguments:** `mass` = m, `stiffness` = k, `bristle_stiffness` = sigma0, `coulomb_force` =
+    F_C, `static_force` = F_S and `stribeck_speed` = v_s, all > 0; `speed` = V; `bristle_damping` =
     sigma1, `viscosity` = sigma2 >= 0; `coupling` = eta.
 
     **Raises:** `ValueError` for anything else.

@@ -43,7 +43,6 @@ from .._checks import check_concrete, check_finite, shown, to_float
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
-from ..model.chain import Chain
 from ..model.parameters import parameter
 from ..model.provenance import versions
 from ..observers.amplitude import Amplitude

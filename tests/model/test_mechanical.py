@@ -27,7 +27,7 @@ QUICK = {"solver": EventDriven(6), "rtol": 1e-9}
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
 
 
-def cubic(*elongations):
+def cubic(elongations):
     return tuple(0.3 * e**3 for e in elongations)
 
 
@@ -35,7 +35,8 @@ def two_of_each(**changes) -> MechanicalCells:
     """Three cells of two displacements with every part that there is."""
     numbers = {
         "stiffness": [[1.0, 0.3], [0.1, 2.0]], "mass": [[1.0, 0.2], [0.2, 0.7]],
-        "damping": [0.05, 0.1], "coupling": [[0.2, 0.0], [0.05, 0.1]], "force": [0.1, 0.3],
+        "damping": [0.05, 0.1], "coupling": [[0.2, 0.0], [0.05, 0.1]],
+        "coupling_damping": [[0.03, 0.0], [0.01, 0.05]], "force": [0.1, 0.3],
         "frequency": 1.3, "belt_speed": 0.4, "normal_load": [1.0, 0.8, 1.2],
     }  # fmt: skip
     laws = {"spring": cubic, "local_force": lambda q, v: (-0.2 * q[1] * q[0], -0.1 * v[1] ** 3)}
@@ -52,6 +53,7 @@ def by_events(cells: MechanicalCells, t1: float) -> np.ndarray:
     """The state at t1 by SciPy, which stops at every event: matrices and modes by hand."""
     M, K = np.asarray(cells.mass), np.asarray(cells.stiffness)
     D, C = np.diag(np.asarray(cells.damping)), np.asarray(cells.coupling)
+    B = np.asarray(cells.coupling_damping)
     u, speed, load = cells.sliding, float(cells.belt_speed), np.asarray(cells.normal_load)
     unit = np.eye(2)[u]
     b = np.linalg.solve(M, unit)
@@ -60,6 +62,7 @@ def by_events(cells: MechanicalCells, t1: float) -> np.ndarray:
         q, v = y[:6].reshape(2, 3), y[6:].reshape(2, 3)
         ahead, behind = np.roll(q, -1, 1) - q, q - np.roll(q, 1, 1)
         h = -K @ q - D @ v + C @ (ahead - behind) + 0.3 * (ahead**3 - behind**3)
+        h += B @ (np.roll(v, -1, 1) + np.roll(v, 1, 1) - 2 * v)
         h += np.stack([-0.2 * q[1] * q[0], -0.1 * v[1] ** 3])
         h += np.array([[0.1], [0.3]]) * np.cos(1.3 * t)
         return np.linalg.solve(M, h)
@@ -238,7 +241,10 @@ def test_a_law_cannot_have_a_number_of_the_cell():
         ({"damping": [1.0, 2.0, 3.0]}, r"Argument `damping` must be one number, or of shape \(2,"),
         ({"sliding": 2}, "Argument `sliding`"),
         ({"frequency": None}, "Arguments `force` and `frequency` belong together"),
-        ({"spring": lambda a, b: (a + 1.0, b)}, "Argument `spring` must return 2 forces that"),
+        ({"spring": lambda a, b: (a, b)}, r"`spring` must be a function \(e\) of tuples of 2"),
+        ({"spring": lambda e: (e[0] + 1.0, e[1])}, "`spring` must return forces that vanish"),
+        ({"local_force": lambda q, v, t: q}, r"`local_force` must be a function \(q, v\) of"),
+        ({"local_force": lambda q, v: q[:1]}, "that returns a tuple of 2 forces"),
         ({"normal_load": -1.0}, "Argument `normal_load`"),
         ({"belt_speed": [1.0, 2.0]}, "Argument `belt_speed`"),
         ({"names": ("x",)}, "Argument `names` must have 2 names"),

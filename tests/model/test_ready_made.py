@@ -230,9 +230,7 @@ def test_the_cycle_of_a_lugre_block_advances_by_the_way_of_the_spring():
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_the_force_of_dahls_bristles_depends_on_the_path_alone(direction):
-    block = LuGre(
-        2.0, 2.0, 0.5 * direction, 10.0, 0.0, 0.3, coulomb_force=0.8, static_force=0.8
-    )
+    block = LuGre(2.0, 2.0, 0.5 * direction, 10.0, 0.0, 0.3, coulomb_force=0.8, static_force=0.8)
     start = (jnp.array([1.5 * direction]), jnp.array([0.2 * direction]), jnp.array([0.4]))
     times = jnp.linspace(0.0, 1.5, 16)
     run = simulate(block, start, 1.5, rtol=1e-11, observe=Trajectory(times))

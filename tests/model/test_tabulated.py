@@ -13,8 +13,8 @@ from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.model.units import Scales
 from jaxchain.observers.samples import Trajectory
-from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation import Method, simulate
+from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.sweeps.ensemble import describe
 from jaxchain.sweeps.sweeping import sweep
 

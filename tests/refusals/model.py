@@ -77,7 +77,7 @@ def rows() -> Iterator[Row]:
         {
             "stiffness": (*wrong, [1.0, math.nan], shape), "mass": (*wrong, 0.0, -1.0, shape),
             "damping": (*wrong, [1.0] * 3, shape), "coupling": (*wrong[1:], [1.0] * 3, shape),
-            "spring": ("x", 1.0, lambda x, y: (x, y, y)), "local_force": ("x", 1.0),
+            "spring": ("x", 1.0, lambda e: (*e, e[0])), "local_force": ("x", 1.0),
             "friction": ("x", 0.5, {}, ExponentialDecay), "belt_speed": NUMBER,
             "normal_load": PER_MASS_0, "sliding": (*COUNT[:5], 2), "force": (*wrong, [1.0] * 3),
             "frequency": POSITIVE, "ends": WORD, "names": (("x",), "xyz"),

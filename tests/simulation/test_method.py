@@ -50,10 +50,10 @@ def test_a_chain_and_the_same_mass_as_cells_are_run_alike():
 
 def test_a_method_is_its_fields():
     chain, watch = paper_chain(1, width=1e-2), Amplitude(10.0)
-    given = simulate(chain, START, 20.0, observe=watch, method=Method(Rodas5P(), 1e-8, max_step=0.1))
-    alone = simulate(
-        chain, START, 20.0, observe=watch, solver=Rodas5P(), rtol=1e-8, max_step=0.1
+    given = simulate(
+        chain, START, 20.0, observe=watch, method=Method(Rodas5P(), 1e-8, max_step=0.1)
     )
+    alone = simulate(chain, START, 20.0, observe=watch, solver=Rodas5P(), rtol=1e-8, max_step=0.1)
     assert eqx.tree_equal(given.state, alone.state)
     assert int(given.steps) == int(alone.steps) >= 200
     swept = sweep(
@@ -67,7 +67,7 @@ def test_a_method_is_its_fields():
         Method.of(dfx.Tsit5())
 
 
-@pytest.mark.parametrize("unit, time", [(1e-3, 1e-2), (50.0, 1.0), (1.0, 30.0)])
+@pytest.mark.parametrize(("unit", "time"), [(1e-3, 1e-2), (50.0, 1.0), (1.0, 30.0)])
 def test_accuracy_picks_the_same_width_in_other_units(unit, time):
     chosen = choose_numerics(paper_chain(1, 1.3), 1e-2)
     other = choose_numerics(the_same_mass(1e-3, unit, time), 1e-2)
