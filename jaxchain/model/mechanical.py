@@ -71,8 +71,8 @@ class MechanicalCells(AbstractCells):
         sliding   M q'' = h - p mu(|w|) sign(w) e_u,     w = u' - v_d,
         sticking  u'' = 0,    while |r| <= p mu_st,      r = e_u M^{-1} h / (e_u M^{-1} e_u),
 
-    h being all other forces and r the force that holds the mass.  Searches for cycles and
-    equilibria need smoothed friction.
+    h being all other forces and r the force that holds the mass.  `find_limit_cycle` finds cycles
+    of both kinds of friction; searches for equilibria and branches need smoothed friction.
 
     **Arguments** (dimensionless, or of any system of units):
 
@@ -276,6 +276,11 @@ class MechanicalCells(AbstractCells):
         unit: list[Any] = [None] * self.d
         unit[self.sliding] = jnp.ones(())
         return substitute(factor(_entries(self.mass, self.d)), unit)
+
+    def accelerations(self, t: ScalarLike, y: State) -> Parts:
+        """`free_acceleration` of all cells of a state."""
+        left, right = self.neighbours(y)
+        return self.free_acceleration(t, left, y, right)
 
     def free_acceleration(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         """M^{-1} h, the accelerations without friction."""

@@ -49,7 +49,6 @@ from ..solvers.dry_friction import (
     motion,
     next_event,
     rates,
-    shares,
     start,
     static_limit,
 )
@@ -167,7 +166,7 @@ def head_start(
     if d > 1:
         change = friction_at_rest(field, t, state, new.direction)
         change = since * (change - friction_at_rest(field, t, state, modes.direction))
-        for i, share in enumerate(shares(field)):
+        for i, share in enumerate(field.compliance()):
             if i != place - d:
                 gains[i] = jnp.where(hits, 0.0 if share is None else -share * change, 0.0)
     return gains

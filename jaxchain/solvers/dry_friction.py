@@ -18,7 +18,7 @@ v' = a - b p mu(|w|) sign(w) while it slides, v' = a - b r while it sticks.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -56,23 +56,10 @@ def static_limit(chain: Dry) -> PerMass:
     return chain.static_limit() * (1.0 + _SLACK)
 
 
-def shares(chain: Dry) -> list[Any]:
-    """b: the accelerations by a unit force at the contact; None for 0."""
-    return [1.0] if isinstance(chain, Chain) else chain.compliance()
-
-
-def accelerations(chain: Dry, t: Any, y: State) -> tuple[Array, ...]:
-    """The accelerations without friction."""
-    if isinstance(chain, Chain):
-        return (chain.free_force(*y),)
-    left, right = chain.neighbours(y)
-    return chain.free_acceleration(t, left, y, right)
-
-
 def free_force(chain: Dry, t: Any, y: State) -> Array:
     """r, the force that would hold a mass."""
     u = chain.contact - len(y) // 2
-    return accelerations(chain, t, y)[u] / shares(chain)[u]
+    return chain.accelerations(t, y)[u] / chain.compliance()[u]
 
 
 def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
@@ -86,12 +73,12 @@ def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     d = len(y) // 2
     # Beyond w = 0 the law is continued, so that a grazing is smooth.
     mu = chain.law.coefficient(direction * (y[chain.contact] - chain.belt_speed))
-    return (*y[d:], *rates(chain, accelerations(chain, t, y), mu, direction))
+    return (*y[d:], *rates(chain, chain.accelerations(t, y), mu, direction))
 
 
 def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Array) -> list[Array]:
     """v' of masses in their modes, from the accelerations without friction and mu(|w|)."""
-    b, u = shares(chain), chain.contact - len(free)
+    b, u = chain.compliance(), chain.contact - len(free)
     friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)
     parts = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
     parts[u] = jnp.where(direction == STICK, 0.0, parts[u])
@@ -156,7 +143,7 @@ def expand(
     load, direction = chain.load, modes.direction
     law = spread_friction(chain.law, direction)
     slides = direction != STICK
-    d, b = len(state) // 2, shares(chain)
+    d, b = len(state) // 2, chain.compliance()
     u = chain.contact - d
     x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
     w = flatten(v[u][0] - spread(chain.belt_speed, direction))
@@ -209,8 +196,9 @@ def free_as_chosen(
     chain: Dry, series: Series, t: Any, state: State, free: Sequence[Array]
 ) -> Sequence[Array]:
     """`free`, the accelerations without friction, in the cases that a series holds for."""
-    if series.after is None or not isinstance(chain, MechanicalCells):
+    if series.after is None:
         return free
+    chain = cast(MechanicalCells, chain)  # the forces of a chain choose no case
     left, right = chain.neighbours(state)
     values = [jnp.asarray(t, float), *left, *state, *right]
     return as_chosen(_free_rate(chain, len(state)), values, series.after)
@@ -268,14 +256,14 @@ def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
     state = (*state[:place], jnp.where(touching, speed, v), *state[place + 1 :])
     resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
-    free = accelerations(chain, t, state)
+    free = chain.accelerations(t, state)
     return state, _met(chain, free, resting, touching, jnp.zeros_like(touching))
 
 
 def _met(chain: Dry, free: Sequence[Array], modes: Modes, lands: Array, releases: Array) -> Modes:
     """The modes after some masses have come to w = 0 and others have been released from it."""
     u = chain.contact - len(free)
-    r = free[u] / shares(chain)[u]
+    r = free[u] / chain.compliance()[u]
     sticks = lands & (jnp.abs(r) <= static_limit(chain))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
     contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
@@ -294,7 +282,7 @@ def after(
     v = jnp.where(lands, chain.belt_speed, state[place])
     state = (*state[:place], v, *state[place + 1 :])
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
-    free = accelerations(chain, t, state)
+    free = chain.accelerations(t, state)
     return state, _met(chain, free, modes, lands, hits & ~lands), free
 
 
