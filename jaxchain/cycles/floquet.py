@@ -20,7 +20,7 @@ from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
 from ..model.locality import check_autonomous
 from ..observers.quantities import energy
-from ..result import Outcome, SearchResult
+from ..result import Outcome, Result, SearchResult
 from ..simulation.accuracy import MAX_STEP, check_tolerances, fit_linear_solve
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import simulate
@@ -71,7 +71,7 @@ def _of_events(chain: Any, state: State, period: Array, rtol: Array) -> Array:
     def end(y: Array) -> tuple[Array, Array]:
         how: Any = {"solver": EventDriven(), "rtol": rtol, "throw": False}
         run = simulate(chain, tuple(jnp.split(y, len(state))), period, **how)
-        return jnp.concatenate(run.state), run.successful
+        return jnp.concatenate(run.state), run.result == Result.successful
 
     slopes, good = jax.jacfwd(end, has_aux=True)(jnp.concatenate(state))
     return jnp.where(good, slopes, jnp.nan)

@@ -61,7 +61,7 @@ from ..simulation.accuracy import (
 )
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
-from ..solvers.dry_friction import Dry, rates
+from ..solvers.dry_friction import rates
 from ..solvers.dry_friction import start as on_the_belt
 from ..solvers.rosenbrock import Rodas5P
 from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_peak_velocity
@@ -627,7 +627,7 @@ class _Cuts(AbstractSection):
         return last
 
 
-def _slipping(chain: Dry, t: Any, y: State) -> Float[Array, " n"]:
+def _slipping(chain: Any, t: Any, y: State) -> Float[Array, " n"]:
     """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
     mu = chain.law.coefficient(jnp.abs(y[chain.contact] - chain.belt_speed))
     free, backward = chain.accelerations(t, y), -chain.belt_direction()
@@ -789,7 +789,7 @@ def find_limit_cycle(
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
     equilibrium is never returned as a cycle.  A family, such as cycles without any damping, or
     those beside a mass that friction holds throughout, has no single one: then a multiplier 1
-    leaves `stable` None, or the search fails with `nonfinite`.
+    leaves `stable` None, or the search fails and says so.
 
     !!! example
 
@@ -859,14 +859,14 @@ def resolve_guess(
     """(mass, state on the section, period) from a guess of any kind."""
     check_one_of("branch", branch, ("stable", "unstable"))
     if guess is None:
-        as_chain(chain, remedy="of any other model, give a state as `guess`, too.")
+        one = as_chain(chain, remedy="of any other model, give a state as `guess`, too.")
         if period is not None:
             raise ValueError(
                 f"Argument `period` is {shown(period)}, but there is no `guess` with this period: "
                 "give the state, too."
             )
-        mass = as_mass(chain.n, mass, reference_site(chain.n))
-        return mass, *guess_of_kind(chain, mass, branch)
+        mass = as_mass(one.n, mass, reference_site(one.n))
+        return mass, *guess_of_kind(one, mass, branch)
     if isinstance(guess, LimitCycle):
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
         mass = as_mass(guess.state[0].shape[0], mass, guess.mass)
@@ -924,6 +924,12 @@ def _missing(chain: Any, kind: str, reason: str = "") -> str:
 def _failure(cycle: LimitCycle) -> str:
     if cycle.result == SearchResult.ran_away or cycle.result == SearchResult.steady_sliding:
         return f"No limit cycle was found near the guess. {cycle.message}"
+    if not np.isfinite(cycle.residual):
+        return (
+            "No limit cycle was found near the guess: a run failed, or the equations are singular "
+            "there. Then the orbit is one of a family, as without damping: only a single one can "
+            "be found."
+        )
     return (
         f"No limit cycle was found near the guess: the residual is {float(cycle.residual):.1e} "
         f"after {int(cycle.evaluations)} integrations, the greatest velocity "

@@ -271,8 +271,8 @@ class MechanicalCells(AbstractCells):
         """2 pi / omega; None without forcing."""
         return None if self.frequency is None else 2.0 * jnp.pi / self.frequency
 
-    def compliance(self) -> list[PerMass | None]:
-        """M^{-1} e_u: the acceleration of each displacement by a unit force at the contact."""
+    def compliance(self) -> list[Any]:
+        """M^{-1} e_u: the accelerations by a unit force at the contact; None for 0."""
         unit: list[Any] = [None] * self.d
         unit[self.sliding] = jnp.ones(())
         return substitute(factor(_entries(self.mass, self.d)), unit)

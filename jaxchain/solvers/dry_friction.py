@@ -76,7 +76,7 @@ def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     return (*y[d:], *rates(chain, chain.accelerations(t, y), mu, direction))
 
 
-def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Array) -> list[Array]:
+def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Any) -> list[Array]:
     """v' of masses in their modes, from the accelerations without friction and mu(|w|)."""
     b, u = chain.compliance(), chain.contact - len(free)
     friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)

@@ -67,7 +67,7 @@ class Events:
                 return np.abs(self.free(t, y)[0]) - 1.0
 
             event = lands if mode else releases_at
-            event.terminal, event.direction = True, -1.0 if mode else 1.0
+            event.__dict__.update(terminal=True, direction=-1.0 if mode else 1.0)
             # The first moments of sliding, in which w is rounding, have no landing.
             begin, rate = t, partial(self.rate, mode)
             if mode and abs(y[self.d] - self.speed) < 1e-13:
@@ -106,7 +106,7 @@ def flat(cycle):
 
 def sorted_by_size(values):
     values = np.asarray(values, complex)
-    return values[np.lexsort((values.imag, -np.abs(values).round(9)))]
+    return values[np.lexsort((np.imag(values), -np.abs(values).round(9)))]
 
 
 @pytest.fixture(scope="module")
@@ -252,6 +252,20 @@ def test_the_period_of_a_ring_has_the_derivative_of_differences():
     np.testing.assert_allclose(jax.grad(period)(0.8), slope, rtol=1e-6)
     end = jc.simulate(RING, cycle.state, float(cycle.period)).state
     np.testing.assert_allclose(end, cycle.state, atol=1e-8)
+
+
+def test_smoothed_cells_know_how_near_the_belts_speed_they_come(one):
+    chain, cells = paper_chain(1, belt_speed=1.2, width=1e-2), ONE.with_(width=1e-2)
+    expected = find_limit_cycle(chain).scaled_peak_velocity
+    found = find_limit_cycle(cells, one).scaled_peak_velocity
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_family_of_cycles_has_no_single_one():
+    """Without damping every motion that never comes to the speed of the belt is periodic."""
+    cells = MechanicalCells(1.0, friction=Coulomb(0.5), belt_speed=1.0)
+    with pytest.raises(RuntimeError, match="one of a family"):
+        find_limit_cycle(cells, (jnp.array([0.8]), jnp.zeros(1)), period=2 * np.pi)
 
 
 def test_a_branch_of_dry_cells_says_why_it_is_refused(one):
