@@ -102,8 +102,8 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     )
     branches_cross = "The point is not a fold: branches cross there, and none turns around."
     steady_sliding = (
-        "The result is steady sliding, not a vibration: the mass hardly moves. Start from a "
-        "state farther from steady sliding."
+        "The result is steady sliding or sticking, not a vibration: the mass hardly moves. Start "
+        "from a state farther from it, or force it harder."
     )
     other_kind = (
         "A cycle was found, but not as requested: of the other kind (stick-slip or slip), or with "

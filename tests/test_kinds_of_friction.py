@@ -160,6 +160,9 @@ LONG = {
         ).share.values,
         0.02,
     ),
+    "monodromy_matrix": (
+        ONE, lambda c: jc.monodromy_matrix(c, (jnp.full(1, 0.6), jnp.zeros(1)), 6.0), 1e-7
+    ),
     "sliding_share": (ONE, jc.basins.sliding_share, 1e-9),
     "sliding_basin": (ONE, lambda c: jc.basins.sliding_basin(c).period, 1e-9),
     "blow_of_one_mass": (ONE, jc.basins.blow_of_one_mass, 1e-9),
@@ -205,7 +208,6 @@ REFUSED = {
     "sweep width": (
         lambda c: jc.sweep(c, c_start(c), 1.0, over={"width": [0.1]}), "to sweep `width`"
     ),
-    "monodromy_matrix": (lambda c: jc.monodromy_matrix(c, c_start(c), 6.0), "`find_limit_cycle`"),
     "liouville_determinant": (
         lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
     ),

@@ -19,7 +19,7 @@ from .._checks import check_kind, check_positive_number, is_traced, shown, to_fl
 from .._final import final
 from .._internals import nondifferentiable
 from .._types import State
-from ..cycles.floquet import LimitCycle, can_be_cycle, check_force
+from ..cycles.floquet import LimitCycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain, as_state
 from ..model.cells import AbstractField
@@ -646,6 +646,6 @@ def _last(
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
     closes = jnp.argmax(away <= _CLOSED)  # the first return, 0 for none
     period = times[closes] - times[0]
-    closed = (closes > 0) & can_be_cycle(chain, period, jnp.abs(state[-1]))
+    closed = (closes > 0) & chain.can_be_cycle(period, jnp.abs(state[-1]))
     period = jnp.where(closed, period, jnp.nan)
     return amplitude, period, jnp.min(away), ended_well(run.result)

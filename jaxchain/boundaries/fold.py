@@ -45,7 +45,6 @@ from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, usual_peak_velocity
-from ..cycles.floquet import can_be_cycle
 from ..cycles.shooting import Shooting
 from ..cycles.variational import Sensitivity, flow, forward_sensitivity
 from ..model.arguments import as_chain
@@ -651,7 +650,7 @@ def _find(chain: Chain, mass: int) -> tuple[FoldGuess, FoldSearch]:
     search_end = search(start)
     field, (_, v), period = start.shooting.unpack(*unknowns(start.shooting, search_end.point))
     search_end = search_end._replace(
-        converged=search_end.converged & can_be_cycle(field, period, jnp.abs(v))
+        converged=search_end.converged & field.can_be_cycle(period, jnp.abs(v))
     )
     result = SearchResult.where(search_end.converged, SearchResult.successful, start.result)
     return start._replace(result=result), search_end

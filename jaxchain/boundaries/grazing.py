@@ -62,7 +62,6 @@ from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import Summits, dry_summits, graded, one_mass
-from ..cycles.floquet import can_be_cycle
 from ..cycles.phases import peak
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import check_mass
@@ -594,7 +593,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
     touches = dry.ratio >= 1.0
     folds = dry.turns & (slope_minus < 0) & (deceleration > 0)
     at_speed = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
-    folds = folds & can_be_cycle(at_speed, jnp.exp(dry.q[-2]), jnp.abs(v))
+    folds = folds & at_speed.can_be_cycle(jnp.exp(dry.q[-2]), jnp.abs(v))
     exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)

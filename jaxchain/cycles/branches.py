@@ -51,7 +51,6 @@ from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import (
     as_orbit,
-    can_be_cycle,
     check_orbit,
     is_trusted,
     orbit_multipliers,
@@ -304,7 +303,7 @@ def linearise(
     field, state, period = shooting.unpack(u, *parameters)
     f = None if shooting.turns else jnp.concatenate(field(0.0, state))
     floquet = orbit_multipliers(whole.monodromy, f)
-    sound = can_be_cycle(field, period, whole.fastest)
+    sound = field.can_be_cycle(period, whole.fastest)
     extra = CycleLinearisation(
         state,
         period,

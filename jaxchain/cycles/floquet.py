@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from .._checks import as_array, check_positive_number, is_traced, shown, to_float
@@ -18,12 +17,13 @@ from .._final import final
 from .._types import State
 from ..model.arguments import as_chain, as_state
 from ..model.cells import AbstractField
-from ..model.chain import Chain, require_smoothed
+from ..model.chain import require_smoothed
 from ..model.locality import check_autonomous
-from ..model.oscillators import AbstractOscillators
 from ..observers.quantities import energy
-from ..result import Outcome, SearchResult
+from ..result import Outcome, Result, SearchResult
+from ..simulation.event_driven import EventDriven
 from ..simulation.method import MAX_STEP, check_tolerances, fit_linear_solve
+from ..simulation.run import simulate
 from ..solvers.rosenbrock import Rodas5P
 from .variational import Period, linearised_period
 
@@ -37,7 +37,9 @@ def monodromy_matrix(
 ) -> Float[Array, "two_n two_n"]:
     """M = d(state after `period`) / d(state), with states in the order (x_1 .. x_n, v_1 .. v_n).
 
-    The forward derivative of the discrete steps of the structured solver, with fixed step sizes.
+    The forward derivative of the discrete steps of the structured solver, with fixed step sizes;
+    with dry friction that of an event-driven run, with its saltation at sticking and release.  A
+    mass that sticks at first, or at some time, makes M singular.
 
     **Arguments:** a `LimitCycle` alone; or a `Chain`, `AbstractOscillators` or `AbstractCells`,
     `state` = (x, v), both of shape (n,), on a periodic orbit or not, and `period`, any positive
@@ -57,7 +59,22 @@ def monodromy_matrix(
     >>> round(float(jnp.linalg.det(M)), 6)  # exp(-2 xi)
     0.904837
     """
+    chain, state, period = as_orbit(chain, state, period)
+    if getattr(chain, "dry", False):
+        state = check_orbit(chain, state, period, rtol)
+        return _of_events(chain, state, to_float(period), to_float(rtol))
     return _period(chain, state, period, rtol).monodromy
+
+
+@eqx.filter_jit
+def _of_events(chain: Any, state: State, period: Array, rtol: Array) -> Array:
+    def end(y: Array) -> tuple[Array, Array]:
+        how: Any = {"solver": EventDriven(), "rtol": rtol, "throw": False}
+        run = simulate(chain, tuple(jnp.split(y, len(state))), period, **how)
+        return jnp.concatenate(run.state), run.result == Result.successful
+
+    slopes, good = jax.jacfwd(end, has_aux=True)(jnp.concatenate(state))
+    return jnp.where(good, slopes, jnp.nan)
 
 
 def trace_integral(
@@ -253,7 +270,7 @@ def as_orbit(chain: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
 def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
     chain, state, period = as_orbit(chain, state, period)
     state = check_orbit(chain, state, period, rtol)
-    require_smoothed(chain, "use `find_limit_cycle` for its multipliers, or ")
+    require_smoothed(chain, "use `find_limit_cycle` or `monodromy_matrix`, or ")
     given = 1e-9 if is_traced(rtol) else float(rtol)
     solver = fit_linear_solve(Rodas5P(), chain, given, state=state)
     return _linearised(chain, state, to_float(period), to_float(rtol), solver)
@@ -279,8 +296,6 @@ def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "sta
 
 def check_force(chain: AbstractField, state: State) -> None:
     """Raises `ValueError` unless the rate is periodic in time, as `forcing_period` says."""
-    if isinstance(chain, Chain):
-        return
     forced = chain.forcing_period()
     if forced is None:
         check_autonomous(chain, state)
@@ -322,9 +337,6 @@ def turns_of(chain: AbstractField, period: Any) -> int | None:
 LEAST_VELOCITY = 1e-6
 # M is not trusted if the trivial multiplier or the determinant has a greater error.
 _WORST_DEFECT = 1e-3
-# Shares of the belt speed at which mu is sampled; by how much its maximum may exceed that of the
-# samples, and by which share a period may be below the bound.
-_SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
 
 
 @final
@@ -340,11 +352,15 @@ class LimitCycle(Outcome):
       first.  Dry friction: 0 also for those below rounding.
     - `trivial_defect`: |M f - f| / |f| for f = (x', v'), ideally 0.  `liouville_defect`: see the
       function of this name; NaN for dry friction.  Both are measured on this orbit.
-    - `amplitude`: half peak-to-peak of each displacement; `fastest`: each greatest velocity in the
-      direction of the belt.
+    - `amplitude`: half peak-to-peak of each displacement, of cells that of the first one;
+      `fastest`: each greatest velocity in the direction of the belt, of cells that of the
+      displacement that slides on it.
     - `evaluations`: the number of linearised integrations; `chain`: the chain of this cycle.
     - `turns`: of a forced cycle, its period in periods of the force, its state that at t = 0, and
       all m N multipliers; None where nothing depends on time.  `times_round` is 1.
+
+    With dry friction and a mass that sticks at some time, as many multipliers are exactly 0 as
+    masses ever stick together, and the state at the cut is that where the belt releases the mass.
 
     See `find_limit_cycle` for an example.
     """
@@ -369,12 +385,11 @@ class LimitCycle(Outcome):
     def scaled_peak_velocity(self) -> Float[Array, " n"]:
         """max w / eps of each mass; negative if the mass never reaches the belt speed.
 
-        With dry friction it is -inf for such a mass, and 0 for one that sticks.
+        With dry friction it is -inf for such a mass, 0 for one that sticks and is never faster
+        than the belt, and inf for one that is.  NaN for cells without friction that switches.
         """
         along = self.chain.belt_direction()
-        switching = None
-        if isinstance(self.chain, AbstractOscillators):
-            switching = self.chain.switching(0.0, along * self.fastest)
+        switching = self.chain.switching(0.0, along * self.fastest)
         if switching is None:
             return jnp.full_like(self.fastest, jnp.nan)
         w = along * switching[0]
@@ -405,36 +420,6 @@ class LimitCycle(Outcome):
         if not sound or not abs(margin) > uncertainty:
             return None
         return margin > 0
-
-
-def can_be_cycle(field: AbstractField, period: Any, speed: Float[Array, " n"]) -> Bool[Array, ""]:
-    """Whether a cycle of `field` can have this period, and masses as fast as `speed`.
-
-    For a `Chain`, x'' + 2 xi x' + K x = p F(x' - v_d), two means over a period T give bounds:
-
-    - Friction and damping depend on v_n alone, so that the mean of v_n' times them is 0, and with
-      L the greatest eigenvalue of K: <v'^T v'> = <v^T K v> <= L <v^T v>.  v has mean 0, so <v^T v>
-      <= (T / 2 pi)^2 <v'^T v'> (Wirtinger's inequality): T >= 2 pi / L^(1/2).
-    - Friction does work on a mass only between rest and the belt speed, at most p M |v_d| with M
-      the greatest mu up to there.  Damping dissipates as much: 2 xi <v^T v> <= sum_n p_n M_n
-      |v_d|, xi the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|> <= T
-      L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
-
-    Always true for other oscillators, whose forces are not bounded here.
-    """
-    if not isinstance(field, Chain):
-        return jnp.asarray(True)
-    n, belt = field.n, jnp.abs(field.belt_speed)
-    stiffest = field.stiffness_diagonal(n)
-    if field.springs is not None:
-        stiffest = stiffest + field.springs.strength(n)  # Gershgorin's bound
-    frequency = jnp.sqrt(jnp.max(stiffest))
-    mu = jax.vmap(lambda share: field.law.coefficient(jnp.full(n, share * belt)))(_SHARES)
-    mu = jnp.maximum(_BETWEEN * jnp.max(mu, axis=0), field.law.mu_static)
-    work = belt * jnp.sum(field.load * mu * jnp.ones(n))
-    damping = 2.0 * jnp.min(field.damping_ratio)
-    slow = damping * jnp.max(speed**2) <= period * frequency * work
-    return (period * frequency >= (1.0 - _ROUNDING) * 2.0 * jnp.pi) & ((damping <= 0) | slow)
 
 
 def is_trusted(

@@ -42,9 +42,8 @@ from ..continuation.damped_newton import Factors, Iterate, check_tolerance, endi
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass, as_state
 from ..model.cells import AbstractCells, AbstractField
-from ..model.chain import Chain, require_smoothed, steady_sliding
+from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site, release_state
-from ..model.oscillators import AbstractOscillators
 from ..model.sliding import damping_outweighs, sliding_damping, stiffness_matrix
 from ..observers.amplitude import Amplitude
 from ..observers.base import Step
@@ -62,6 +61,7 @@ from ..simulation.method import (
     fit_linear_solve,
 )
 from ..simulation.run import Simulation, simulate
+from ..solvers.dry_friction import rates
 from ..solvers.dry_friction import start as on_the_belt
 from ..solvers.rosenbrock import Rodas5P
 from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_peak_velocity
@@ -70,7 +70,6 @@ from .floquet import (
     CYCLE_RTOL,
     LEAST_VELOCITY,
     LimitCycle,
-    can_be_cycle,
     check_orbit,
     is_trusted,
     liouville_defect,
@@ -95,9 +94,9 @@ _ROUNDING = 1e-9  # of the number of periods in a run
 def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
     """The maxima of a run whose sticking masses have small errors in units of the width."""
     rtol: Any = 1e-8
-    if isinstance(chain, Chain) and not chain.dry:
-        rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(chain.width)), 1e-11, 1e-7)
-    solver = custom_solver(chain, None) or choose_solver(chain, 1e-8, state=state)
+    if not chain.dry and (layer := chain.layer(0.0, state)) is not None:
+        rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(layer[1])), 1e-11, 1e-7)
+    solver = _solver_of(chain, state)
     most = None
     if chain.dry and not is_traced(t1):
         most = max(_GUESS_STEPS, int(_STEPS_PER_TIME * float(t1)))
@@ -107,11 +106,16 @@ def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> A
     return lax.stop_gradient(run.observed)
 
 
+def _solver_of(chain: AbstractField, state: State) -> Any:
+    """The solver of a run that looks for a guess."""
+    return custom_solver(chain, None) or choose_solver(chain, 1e-8, state=state)
+
+
 def most_lively(chain: AbstractField, state: State) -> int:
     """The mass farthest from sliding, which is assumed to vibrate; n // 2 if traced."""
     if is_traced(chain, state):
         return reference_site(state[0].shape[0])
-    rest = steady_sliding(chain) if isinstance(chain, Chain) else [0.0] * len(state)
+    rest = chain.equilibrium(state)
     apart = [(part - still) ** 2 for part, still in zip(state, rest, strict=True)]
     return int(jnp.argmax(sum(apart)))
 
@@ -178,10 +182,8 @@ def _forced_guess(chain: AbstractField, state: State, transient: float) -> Guess
     forced = to_float(chain.forcing_period())
     turns = max(2 * _MOST_TURNS, math.ceil(transient / float(forced)))
     times = forced * jnp.arange(turns - _MOST_TURNS, turns + 1)
-    solver = choose_solver(chain, 1e-8, state=state)
-    run = simulate(
-        chain, state, times[-1], observe=Trajectory(times), solver=solver, rtol=1e-8, throw=False
-    )
+    how: Any = {"solver": _solver_of(chain, state), "rtol": 1e-8, "throw": False}
+    run = simulate(chain, state, times[-1], observe=Trajectory(times), **how)
     return _last_turn(times, *lax.stop_gradient(run.observed))
 
 
@@ -190,7 +192,7 @@ def _at_phase_0(chain: AbstractField, run: Simulation) -> State:
     forced = to_float(chain.forcing_period())
     turns = jnp.ceil(run.t / forced - _ROUNDING)
     t1 = jnp.maximum(turns * forced, run.t)
-    solver = choose_solver(chain, 1e-8, state=run.state)
+    solver = _solver_of(chain, run.state)
     more = simulate(chain, run.state, t1, t0=run.t, solver=solver, rtol=1e-8, throw=False)
     return lax.stop_gradient(more.state)
 
@@ -222,15 +224,14 @@ def carried(state: State, before: AbstractField, after: AbstractField) -> State:
     If the belt runs the other way, it is the mirror image.
     """
     turned = before.belt_direction() * after.belt_direction()
-    if not isinstance(after, AbstractOscillators):
-        return state
-    x, v = (turned * part for part in state)
-    old, new = before.switching(0.0, turned * v), after.switching(0.0, v)
-    if old is None or new is None:
-        return x, v
-    sticks = jnp.abs(old[0]) <= 10.0 * old[1]
-    wider = new[1] / jnp.where(old[1] > 0, old[1], 1.0)
-    return x, jnp.where(sticks, v - new[0] + turned * old[0] * wider, v)
+    parts = [turned * part for part in state]
+    old, new = before.layer(0.0, state), after.layer(0.0, tuple(parts))
+    if old is not None and new is not None:
+        k = after.contact
+        sticks = jnp.abs(old[0]) <= 10.0 * old[1]
+        wider = new[1] / jnp.where(old[1] > 0, old[1], 1.0)
+        parts[k] = jnp.where(sticks, parts[k] - new[0] + turned * old[0] * wider, parts[k])
+    return tuple(parts)
 
 
 @eqx.filter_jit
@@ -314,7 +315,7 @@ def solve_cycle(
         end.u,
         tolerance,
         moves=((whole.fastest[mass] > LEAST_VELOCITY) & forward) | forced,
-        lost=whole.complete & ~can_be_cycle(field, period, whole.fastest),
+        lost=whole.complete & ~field.can_be_cycle(period, whole.fastest),
         ended=ending(end, jnp.asarray(False), limit),
         residual=jnp.fmax(greatest_gap(end), left / whole.returned.farthest),
         multipliers=floquet.multipliers,
@@ -425,27 +426,24 @@ def refine_orbit(
     number of the state or of all.  The period of a forced orbit, whose `state` is
     that at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
     """
-    equations = _States(chain, rtol, custom_solver(chain, solver), m=len(state))
+    equations = _States(chain, rtol, custom_solver(chain, solver), len(state), state[0].size)
     return _close(equations, state, to_float(period), to_float(scale))[0]
 
 
 class _States(eqx.Module):
     """The equations of a periodic orbit in its state and period, u = (x, v, T) for m = 2.
 
-    Those of `closing` cut it where mass `mass` is fastest, or is released by the belt.
+    Those of `closing` cut it where mass `mass` is fastest, or is released by the belt; a forced
+    orbit, whose period is `turns` periods of the force, at t = 0.
     """
 
     field: Any
     rtol: Any
     solver: Any
+    m: int = eqx.field(static=True)
+    n: int = eqx.field(static=True)
     mass: int = eqx.field(static=True, default=0)
-    m: int = eqx.field(static=True, default=2)
-    turns: None = None
-
-    @property
-    def n(self) -> int:
-        """The number of masses."""
-        return self.field.n
+    turns: int | None = eqx.field(static=True, default=None)
 
     def pack(self, state: State, period: Array) -> Array:
         """u of a state and a period."""
@@ -470,10 +468,14 @@ class _States(eqx.Module):
         )
 
     def closing(self, u: Array) -> tuple[Array, Array]:
-        """(gaps of the return and of the section, the amplitudes)."""
-        run, (x, v) = self.run(u, Amplitude()), self.unpack(u)[1]
-        section = _slipping(self.field, x, v)[self.mass]
-        return jnp.concatenate([run.state[0] - x, run.state[1] - v, section[None]]), run.observed
+        """(gaps of the return, and of the section or the period; the amplitudes)."""
+        run, (field, state, period) = self.run(u, Amplitude()), self.unpack(u)
+        gaps = [after - before for after, before in zip(run.state, state, strict=True)]
+        if self.turns is None:
+            last = _slipping(field, 0.0, state)[self.mass]
+        else:
+            last = period - self.turns * to_float(field.forcing_period())
+        return jnp.concatenate([*gaps, last[None]]), run.observed
 
 
 class _Seen(NamedTuple):
@@ -487,8 +489,8 @@ class _Seen(NamedTuple):
 @eqx.filter_jit
 def _close(
     equations: _States, state: State, period: Array, scale: Any = 1.0
-) -> tuple[RefinedOrbit, Int[Array, ""]]:
-    """(the orbit, how many integrations it took)."""
+) -> tuple[RefinedOrbit, Returned, Int[Array, ""]]:
+    """(the orbit, whether it returns earlier, how many integrations it took)."""
     chain, start = equations.field, equations.pack(state, period)
     d, forced = start.shape[0] - 1, chain.forcing_period() is not None
     dry = isinstance(equations.solver, EventDriven)
@@ -524,7 +526,7 @@ def _close(
     failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
     u, slopes = best.u + failed, best.aux.slopes + failed
     _, found, _ = equations.unpack(u)
-    possible = can_be_cycle(chain, u[-1], jnp.abs(found[-1]))
+    possible = chain.can_be_cycle(u[-1], jnp.abs(found[-1]))
     once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
     floquet = orbit_multipliers(slopes[:, :-1], None if forced else slopes[:, -1])
     resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
@@ -543,7 +545,7 @@ def _close(
         defect=floquet.defect,
         resolution=resolution,
     )
-    return orbit, best.evaluations
+    return orbit, best.aux.returned, best.evaluations
 
 
 def _free_phases(chain: Any, state: State, monodromy: Array, f: Array) -> Array:
@@ -554,44 +556,53 @@ def _free_phases(chain: Any, state: State, monodromy: Array, f: Array) -> Array:
     m, n = len(state), state[0].shape[0]
     if n == 1 or not chain.structured:
         return jnp.zeros(())
+    apart = jnp.all((monodromy == 0) | (jnp.tile(jnp.eye(n), (m, m)) > 0))
     parts = jnp.concatenate([jnp.diag(part) for part in jnp.split(f, m)])  # column n is f_n
     sizes = jnp.sum(parts**2, axis=0)
-    free = (parts / jnp.where(sizes > 0, sizes, 1.0)[None]) @ parts.T
-    if isinstance(chain, AbstractCells):
-        return jnp.all((monodromy == 0) | (jnp.tile(jnp.eye(n), (m, m)) > 0)) * free
-    return free if chain.springs is None else jnp.all(chain.springs.constant == 0) * free
+    return apart * ((parts / jnp.where(sizes > 0, sizes, 1.0)[None]) @ parts.T)
 
 
 @eqx.filter_jit
 def dry_cycle(
     equations: _States, state: State, period: Array, tolerance: Array, limit: Any
 ) -> tuple[LimitCycle, Array]:
-    """(the cycle of a dry chain near a guess, its unknowns u), cut as `closing` does."""
+    """(the cycle of a dry model near a guess, its unknowns u), cut as `closing` does."""
     del limit
     chain, mass, of = equations.field, equations.mass, SearchResult
-    orbit, evaluations = _close(equations, state, period)
+    forced = equations.turns is not None
+    orbit, returned, evaluations = _close(equations, state, period)
 
     def once_round(state: State, turns: Array) -> tuple[State, tuple[State, State, Any]]:
-        observe = [_Cuts(mass, 1, of="velocity"), Along()]
-        run = equations.run(equations.pack(state, orbit.period), observe, turns)
-        (_, x, v), along = run.observed
-        return on_the_belt(chain, 0.0, (x[0], v[0]))[0], (state, run.state, along)
+        cuts = [] if forced else [_Cuts(mass, 1, of="velocity")]
+        run = equations.run(equations.pack(state, orbit.period), [*cuts, Along()], turns)
+        *cut, along = run.observed
+        for _, *parts in cut:
+            state_there = on_the_belt(chain, 0.0, tuple(part[0] for part in parts))[0]
+            return state_there, (state, run.state, along)
+        return state, (state, run.state, along)
 
     # To the cut, and from there: a run that is compiled once.  First a little more than a period,
     # for an orbit that begins at the cut.
-    _, both = lax.scan(once_round, orbit.state, jnp.asarray([1.05, 1.0]))
-    state, end, (low, high, fastest, _) = jax.tree.map(lambda leaf: leaf[1], both)
+    _, both = lax.scan(once_round, orbit.state, jnp.asarray([1.0] if forced else [1.05, 1.0]))
+    state, end, (low, high, fastest, _) = jax.tree.map(lambda leaf: leaf[-1], both)
     u = equations.pack(state, orbit.period)
     gap = jnp.concatenate(end) - jnp.concatenate(state)
-    residual = jnp.max(jnp.abs(gap)) / fastest[mass]
+    stuck = returned.farthest == 0  # where positions in an interval are in balance
+    # A forced mass may be fastest against the belt.
+    greatest = jnp.maximum(returned.farthest, LEAST_VELOCITY) if forced else fastest[mass]
+    residual, moves = jnp.max(jnp.abs(gap)) / greatest, greatest > LEAST_VELOCITY
     unresolved = jnp.isnan(orbit.multipliers) & jnp.isfinite(orbit.defect)
     cycle = _cycle(
         equations,
         u,
         tolerance,
-        moves=fastest[mass] > LEAST_VELOCITY,
+        moves=moves,
         lost=jnp.isinf(orbit.gap),
-        ended=of.where(jnp.isfinite(residual), of.no_step_helps, of.nonfinite),
+        ended=of.where(
+            jnp.isfinite(residual),
+            of.no_step_helps,
+            of.where(stuck, of.steady_sliding, of.nonfinite),
+        ),
         residual=residual,
         multipliers=jnp.where(unresolved, 0.0, orbit.multipliers),
         trivial_defect=orbit.defect,
@@ -599,7 +610,7 @@ def dry_cycle(
         amplitude=(high - low) / 2,
         fastest=fastest,
         evaluations=evaluations,
-        times_round=jnp.ones((), int),
+        times_round=returned.times_round if forced else jnp.ones((), int),
     )
     return cycle, u
 
@@ -608,19 +619,19 @@ class _Cuts(AbstractSection):
     """States in which a mass is released by the belt, or is fastest while it slides behind it."""
 
     def _slope(self, step: Step, theta: Any, y: State) -> Array:
-        del theta
         field: Any = step.field
-        return field.belt_direction() * _slipping(field, *y)[self.oscillator]
+        return field.belt_direction() * _slipping(field, step.time(theta), y)[self.oscillator]
 
     def _slope_after(self, step: Step, last: Array) -> Array:
         del step
         return last
 
 
-def _slipping(chain: Chain, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
-    """v' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
-    pull = chain.load * chain.law.coefficient(jnp.abs(v - chain.belt_speed))
-    return chain.free_force(x, v) + chain.belt_direction() * pull
+def _slipping(chain: Any, t: Any, y: State) -> Float[Array, " n"]:
+    """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
+    mu = chain.law.coefficient(jnp.abs(y[chain.contact] - chain.belt_speed))
+    free, backward = chain.accelerations(t, y), -chain.belt_direction()
+    return rates(chain, free, mu, backward)[chain.contact - len(free)]
 
 
 @eqx.filter_jit
@@ -748,12 +759,13 @@ def find_limit_cycle(
     natural monotonicity test damps the steps, and one linearised integration gives each Jacobian
     and finally the monodromy matrix.  With dry friction the integration is event-driven and the
     unknown is the state itself; the orbit is cut where the belt releases the mass that vibrates,
-    or where this mass is fastest if it never sticks; `images` and `max_steps` are ignored, and
-    without a guess only the given belt speed is tried.
+    or where this mass is fastest if it never sticks (of a force at t = 0); `images` and
+    `max_steps` are ignored, and without a guess only the given belt speed is tried.
 
     **Arguments:**
 
-    - `chain`: a `Chain`, or with a guess `AbstractOscillators` or `AbstractCells`.
+    - `chain`: a `Chain`, or with a guess `AbstractOscillators` or `AbstractCells`, of which
+      `MechanicalCells` may have dry friction.
     - `guess`: of forced cells (see `AbstractCells.forcing_period`) a state at t = 0; `period` is a
       multiple of that of the force, up to 16 times, and found by a simulation if it is not given.
       A `Simulation` goes on to the next multiple.
@@ -775,7 +787,9 @@ def find_limit_cycle(
     only the given belt speed is tried.
 
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
-    equilibrium is never returned as a cycle.
+    equilibrium is never returned as a cycle.  A family, such as cycles without any damping, or
+    those beside a mass that friction holds throughout, has no single one: then a multiplier 1
+    leaves `stable` None, or the search fails and says so.
 
     !!! example
 
@@ -792,29 +806,28 @@ def find_limit_cycle(
     as_chain(chain, AbstractField)
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
-    if not isinstance(chain, Chain):
-        require_smoothed(chain, "")
     limit = check_tolerance(tolerance, max_steps)
     frozen = lax.stop_gradient(chain)
-    if isinstance(chain, Chain):
-        as_symmetry(images, frozen, (jnp.zeros(chain.n),) * 2)  # before anything long starts
+    if chain.n is not None and (m := len(chain.variables)):  # before anything long starts
+        as_symmetry(images, frozen, (jnp.zeros(chain.n),) * m)
     mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
     images, shift = as_symmetry(images, frozen, state, mass)
 
     def failed(cycle: LimitCycle) -> bool:
         return not is_traced(cycle.successful) and not cycle.successful
 
-    reason, solve, equations = "", dry_cycle, _States(frozen, to_float(rtol), EventDriven(), mass)
-    if not (isinstance(chain, Chain) and chain.dry):
+    m, n, forced = len(state), state[0].shape[0], frozen.forcing_period() is not None
+    turns = guess.turns if forced and isinstance(guess, LimitCycle) else None
+    turns = turns_of(frozen, period) if turns is None else turns
+    if chain.dry:
+        solve = dry_cycle
+        equations = _States(frozen, to_float(rtol), EventDriven(), m, n, mass, turns)
+    else:
         given = 1e-9 if is_traced(rtol) else float(rtol)
         solver = fit_linear_solve(Rodas5P(), frozen, given, state=state)
-        m, forced = len(state), frozen.forcing_period() is not None
-        turns = guess.turns if forced and isinstance(guess, LimitCycle) else None
-        turns = turns_of(frozen, period) if turns is None else turns
-        solve, equations = (
-            solve_cycle,
-            Shooting(frozen, rtol, solver, mass, images, None, m, turns, shift),
-        )
+        solve = solve_cycle
+        equations = Shooting(frozen, rtol, solver, mass, images, None, m, turns, shift)
+    reason = ""
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))
     cycle, u = solve(equations, *start, *numbers)  # pyright: ignore[reportArgumentType]
@@ -846,17 +859,14 @@ def resolve_guess(
     """(mass, state on the section, period) from a guess of any kind."""
     check_one_of("branch", branch, ("stable", "unstable"))
     if guess is None:
-        if not isinstance(chain, Chain):
-            raise ValueError(
-                "Argument `guess` is None, which needs a `Chain`: give a state and a period."
-            )
+        one = as_chain(chain, remedy="of any other model, give a state as `guess`, too.")
         if period is not None:
             raise ValueError(
                 f"Argument `period` is {shown(period)}, but there is no `guess` with this period: "
                 "give the state, too."
             )
-        mass = as_mass(chain.n, mass, reference_site(chain.n))
-        return mass, *guess_of_kind(chain, mass, branch)
+        mass = as_mass(one.n, mass, reference_site(one.n))
+        return mass, *guess_of_kind(one, mass, branch)
     if isinstance(guess, LimitCycle):
         check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
         mass = as_mass(guess.state[0].shape[0], mass, guess.mass)
@@ -880,10 +890,12 @@ def resolve_guess(
             period = to_float(period)
         elif period is None:
             state, period = guess_from_simulation(chain, state, mass, transient=transient)
-            if isinstance(chain, AbstractCells):  # whose last maximum may be a lesser one
-                state = guess_from_point(chain, state, period, mass)
+            if isinstance(chain, AbstractCells) and not chain.dry:
+                state = guess_from_point(chain, state, period, mass)  # not at a lesser maximum
         else:
-            state, period = guess_from_point(chain, state, period, mass), to_float(period)
+            cut, period = guess_from_point(chain, state, period, mass), to_float(period)
+            found = jnp.isfinite(jnp.sum(cut[-1])) | (not chain.dry)  # which needs no cut
+            state = tuple(jnp.where(found, a, b) for a, b in zip(cut, state, strict=True))
     vibrates = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
     if throw and not vibrates:
         raise RuntimeError(
@@ -910,8 +922,14 @@ def _missing(chain: Any, kind: str, reason: str = "") -> str:
 
 
 def _failure(cycle: LimitCycle) -> str:
-    if cycle.result == SearchResult.ran_away:
+    if cycle.result == SearchResult.ran_away or cycle.result == SearchResult.steady_sliding:
         return f"No limit cycle was found near the guess. {cycle.message}"
+    if not np.isfinite(cycle.residual):
+        return (
+            "No limit cycle was found near the guess: a run failed, or the equations are singular "
+            "there. Then the orbit is one of a family, as without damping: only a single one can "
+            "be found."
+        )
     return (
         f"No limit cycle was found near the guess: the residual is {float(cycle.residual):.1e} "
         f"after {int(cycle.evaluations)} integrations, the greatest velocity "

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -90,10 +90,7 @@ class Shooting(eqx.Module):
     @property
     def balanced(self) -> bool:
         """Whether x_j is explicit, from the balance of forces at the cut."""
-        if self.turns is not None or not isinstance(self.field, AbstractOscillators):
-            return False
-        _, placed = self.field.uses(self.n)
-        return not placed
+        return self.turns is None and self.field.balanced(self.n)
 
     @property
     def others(self) -> list[int]:
@@ -155,8 +152,9 @@ class Shooting(eqx.Module):
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = belt + width * jnp.sinh(parts[contact])
-        if not (self.balanced and isinstance(field, AbstractOscillators)):
+        if not self.balanced:
             return field, tuple(parts), period
+        field = cast(AbstractOscillators, field)
         # With x_j = 0, the force on j is what K_jj x_j has to balance.
         count, v = starts[1], parts[1]
         spread = {n: i for i, n in enumerate(self.others)}

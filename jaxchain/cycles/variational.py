@@ -210,7 +210,7 @@ class Period(NamedTuple):
     - `monodromy`: M, the derivatives after the whole period.
     - `amplitude`: half peak-to-peak of each displacement.
     - `fastest`: each greatest velocity in the belt's direction, among the ends of steps and five
-      points in each.
+      points in each; of cells that of the displacement that slides.
     - `trace_integral`: the integral of tr J along the orbit.
     - `returned`: the distance of the state from the first one after fractions of the period.
     - `complete`: whether the integration reached the end; if not, everything else is NaN.
@@ -241,6 +241,7 @@ class Along(AbstractObserver):
     def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t1
         x, v = field.value_and_rate(t0, y0)
+        v = v if (k := _switching(field, y0)) is None else y0[k]
         return x, x, field.belt_direction() * v, jnp.zeros(())
 
     def update(self, accumulator: Any, step: Step) -> Any:
@@ -251,14 +252,20 @@ class Along(AbstractObserver):
         low = jnp.minimum(low, jnp.minimum(extreme, step.y1[0]))
         high = jnp.maximum(high, jnp.maximum(extreme, step.y1[0]))
         # In one batch, which compiles in a fifth of the time of five.
-        velocities = jax.vmap(step.velocity)(gauss(5)[0])
-        along = step.field.belt_direction()
-        highest = jnp.max(along * velocities, axis=0)
-        fastest = jnp.maximum(fastest, jnp.maximum(highest, along * step.at_ends()[1][1]))
+        along, k = step.field.belt_direction(), _switching(step.field, step.y0)
+        inside = step.velocity if k is None else lambda theta: step.part(theta, k)
+        highest = jnp.max(along * jax.vmap(inside)(gauss(5)[0]), axis=0)
+        last = step.at_ends()[1][1] if k is None else step.y1[k]
+        fastest = jnp.maximum(fastest, jnp.maximum(highest, along * last))
         return low, high, fastest, trace + step.integral(step.field.divergence)
 
     def read(self, accumulator: Any) -> tuple[Array, Array, Array, Array]:
         return accumulator
+
+
+def _switching(field: AbstractField, y: State) -> int | None:
+    """The number of a cell that is the velocity at which friction switches; None without one."""
+    return None if field.layer(0.0, y) is None else min(field.contact, len(y) - 1)
 
 
 def flow(

@@ -193,6 +193,26 @@ class AbstractField(PrintedAsCall, eqx.Module):
         del t, y
         return jnp.asarray(False)
 
+    def equilibrium(self, like: State) -> State:
+        """The equilibrium beside which motions are judged, with the shapes of `like`.
+
+        Zeros where the model does not know it.
+        """
+        return tuple(jnp.zeros_like(part) for part in like)
+
+    def balanced(self, n: int) -> bool:
+        """Whether the balance of forces gives the displacement of a mass from all else."""
+        del n
+        return False
+
+    def can_be_cycle(self, period: Any, speed: Float[Array, " n"]) -> Bool[Array, ""]:
+        """Whether a cycle can have this period, and masses as fast as `speed`.
+
+        Always true where forces have no bound that is known.
+        """
+        del period, speed
+        return jnp.asarray(True)
+
     def value_and_rate(
         self, t: ScalarLike, y: State, component: int = 0
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:

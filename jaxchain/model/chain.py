@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .._checks import (
     check_kind,
@@ -50,6 +50,9 @@ _PLAUSIBLE = {
     "stiffness": (100.0, "N/m"),
     "normal_load": (100.0, "N"),
 }
+# Shares of the belt speed at which mu is sampled; by how much its maximum may exceed that of the
+# samples, and by which share a period may be below the bound.
+_SHARES, _BETWEEN, _ROUNDING = np.linspace(0.0, 1.0, 33), 2.0, 1e-6
 MAKE_CHAIN = "make one with `paper_chain()` or `Chain(...)`."
 
 
@@ -330,14 +333,45 @@ class Chain(AbstractOscillators):
         """r = -2 xi v - K x, the force on a mass without friction."""
         return self.restoring_force(x) - 2.0 * self.damping_ratio * v
 
-    def compliance(self) -> list[Any]:
-        """[1]: the acceleration of a mass by a unit force at its contact."""
-        return [1.0]
+    def equilibrium(self, like: State) -> State:
+        """Steady sliding."""
+        del like
+        return steady_sliding(self)
 
-    def free_accelerations(self, t: ScalarLike, y: State) -> tuple[Float[Array, " n"], ...]:
-        """The accelerations without friction, (r,)."""
+    def can_be_cycle(self, period: Any, speed: Float[Array, " n"]) -> Bool[Array, ""]:
+        """Whether a cycle can have this period, and masses as fast as `speed`.
+
+        For x'' + 2 xi x' + K x = p F(x' - v_d) two means over a period T give bounds:
+
+        - Friction and damping depend on v_n alone, so that the mean of v_n' times them is 0, and
+          with L the greatest eigenvalue of K: <v'^T v'> = <v^T K v> <= L <v^T v>.  v has mean 0,
+          so <v^T v> <= (T / 2 pi)^2 <v'^T v'> (Wirtinger's inequality): T >= 2 pi / L^(1/2).
+        - Friction does work on a mass only between rest and the belt speed, at most p M |v_d| with
+          M the greatest mu up to there.  Damping dissipates as much: 2 xi <v^T v> <= sum_n p_n M_n
+          |v_d|, xi the least xi_n > 0.  Each v_n passes through 0: max v_n^2 <= T <|v_n v_n'|> <=
+          T L^(1/2) <v^T v>.  Without damping, or with negative damping, nothing bounds v.
+        """
+        n, belt = self.n, jnp.abs(self.belt_speed)
+        stiffest = self.stiffness_diagonal(n)
+        if self.springs is not None:
+            stiffest = stiffest + self.springs.strength(n)  # Gershgorin's bound
+        frequency = jnp.sqrt(jnp.max(stiffest))
+        mu = jax.vmap(lambda share: self.law.coefficient(jnp.full(n, share * belt)))(_SHARES)
+        mu = jnp.maximum(_BETWEEN * jnp.max(mu, axis=0), self.law.mu_static)
+        work = belt * jnp.sum(self.load * mu * jnp.ones(n))
+        damping = 2.0 * jnp.min(self.damping_ratio)
+        slow = damping * jnp.max(speed**2) <= period * frequency * work
+        long = period * frequency >= (1.0 - _ROUNDING) * 2.0 * jnp.pi
+        return long & ((damping <= 0) | slow)
+
+    def accelerations(self, t: ScalarLike, y: State) -> tuple[Float[Array, " n"]]:
+        """The acceleration without friction, r: masses are 1."""
         del t
         return (self.free_force(*y),)
+
+    def compliance(self) -> list[Any]:
+        """The acceleration by a unit force at the contact."""
+        return [1.0]
 
     def growth_time(self) -> ScalarLike:
         """1 / (2 |xi|) where damping is negative, infinite elsewhere."""

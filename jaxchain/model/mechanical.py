@@ -74,8 +74,8 @@ class MechanicalCells(AbstractCells):
         sliding   M q'' = h - p mu(|w|) sign(w) e_u,     w = u' - v_d,
         sticking  u'' = 0,    while |r| <= p mu_st,      r = e_u M^{-1} h / (e_u M^{-1} e_u),
 
-    h being all other forces and r the force that holds the mass.  Searches for cycles and
-    equilibria need smoothed friction.
+    h being all other forces and r the force that holds the mass.  `find_limit_cycle` finds cycles
+    of both kinds of friction; searches for equilibria and branches need smoothed friction.
 
     **Arguments** (dimensionless, or of any system of units):
 
@@ -334,10 +334,15 @@ class MechanicalCells(AbstractCells):
         return None if self.frequency is None else 2.0 * jnp.pi / self.frequency
 
     def compliance(self) -> list[Any]:
-        """M^{-1} e_u: the acceleration of each displacement by a unit force at the contact."""
+        """M^{-1} e_u: the accelerations by a unit force at the contact; None for 0."""
         unit: list[Any] = [None] * self.d
         unit[self.sliding] = jnp.ones(())
         return substitute(factor(_entries(self.mass, self.d)), unit)
+
+    def accelerations(self, t: ScalarLike, y: State) -> Parts:
+        """`free_acceleration` of all cells of a state."""
+        left, right = self.neighbours(y)
+        return self.free_acceleration(t, left, y, right)
 
     def free_acceleration(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         """M^{-1} h, the accelerations without friction."""
@@ -368,11 +373,6 @@ class MechanicalCells(AbstractCells):
             wave = jnp.cos(frequency * t)
             add([f * wave for f in jnp.broadcast_to(self.force, (d,))])
         return tuple(substitute(factor(_entries(self.mass, d)), forces))
-
-    def free_accelerations(self, t: ScalarLike, y: State) -> Parts:
-        """M^{-1} h of all cells."""
-        left, right = self.neighbours(y)
-        return self.free_acceleration(t, left, y, right)
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)

@@ -147,6 +147,10 @@ class AbstractOscillators(AbstractField):
             )
         return local_dependence(self, n)[:2]
 
+    def balanced(self, n: int) -> bool:
+        """Whether forces depend on displacement by -K x alone."""
+        return not self.uses(n)[1]
+
     def restoring_force(self, x: Float[Array, " n"]) -> Float[Array, " n"]:
         """-K x."""
         force = -self.stiffness_diagonal(x.shape[0]) * x

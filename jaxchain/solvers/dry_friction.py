@@ -18,7 +18,7 @@ v' = a - b p mu(|w|) sign(w) while it slides, v' = a - b r while it sticks.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -59,7 +59,7 @@ def static_limit(chain: Dry) -> PerMass:
 def free_force(chain: Dry, t: Any, y: State) -> Array:
     """r, the force that would hold a mass."""
     u = chain.contact - len(y) // 2
-    return chain.free_accelerations(t, y)[u] / chain.compliance()[u]
+    return chain.accelerations(t, y)[u] / chain.compliance()[u]
 
 
 def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
@@ -73,10 +73,10 @@ def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     d = len(y) // 2
     # Beyond w = 0 the law is continued, so that a grazing is smooth.
     mu = chain.law.coefficient(direction * (y[chain.contact] - chain.belt_speed))
-    return (*y[d:], *rates(chain, chain.free_accelerations(t, y), mu, direction))
+    return (*y[d:], *rates(chain, chain.accelerations(t, y), mu, direction))
 
 
-def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Array) -> list[Array]:
+def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Any) -> list[Array]:
     """v' of masses in their modes, from the accelerations without friction and mu(|w|)."""
     b, u = chain.compliance(), chain.contact - len(free)
     friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)
@@ -196,9 +196,9 @@ def free_as_chosen(
     chain: Dry, series: Series, t: Any, state: State, free: Sequence[Array]
 ) -> Sequence[Array]:
     """`free`, the accelerations without friction, in the cases that a series holds for."""
-    if series.after is None:  # no force chooses
+    if series.after is None:  # no force chooses a case
         return free
-    cells: Any = chain  # a `Chain` has no such forces
+    cells = cast(MechanicalCells, chain)  # the forces of a chain choose none
     left, right = cells.neighbours(state)
     values = [jnp.asarray(t, float), *left, *state, *right]
     return as_chosen(_free_rate(cells, len(state)), values, series.after)
@@ -256,7 +256,7 @@ def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
     state = (*state[:place], jnp.where(touching, speed, v), *state[place + 1 :])
     resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
-    free = chain.free_accelerations(t, state)
+    free = chain.accelerations(t, state)
     return state, _met(chain, free, resting, touching, jnp.zeros_like(touching))
 
 
@@ -282,7 +282,7 @@ def after(
     v = jnp.where(lands, chain.belt_speed, state[place])
     state = (*state[:place], v, *state[place + 1 :])
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
-    free = chain.free_accelerations(t, state)
+    free = chain.accelerations(t, state)
     return state, _met(chain, free, modes, lands, hits & ~lands), free
 
 

@@ -22,7 +22,6 @@ from jaxchain import (
 )
 from jaxchain.boundaries import hopf_points
 from jaxchain.boundaries.hopf_scan import guess_from_hopf
-from jaxchain.cycles.floquet import can_be_cycle
 from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model.friction import GaussianStribeck
 from jaxchain.model.initial_states import release_state
@@ -260,15 +259,15 @@ def test_bounds_on_a_cycle_hold_and_are_sharp():
     K = np.diag([1.02, 4.02, 2.02]) - 0.01 * (np.ones((3, 3)) - np.eye(3))
     least = 2 * np.pi / np.sqrt(np.linalg.eigvalsh(K)[-1])
     slow = jnp.full(3, 1.0)
-    assert bool(can_be_cycle(chain, 1.01 * least, slow))
-    assert not bool(can_be_cycle(chain, 0.99 * least, slow))
+    assert bool(chain.can_be_cycle(1.01 * least, slow))
+    assert not bool(chain.can_be_cycle(0.99 * least, slow))
     # T (k + 2 c)^(1/2) v_d (mu_0 + ...) / (2 xi): friction no more than twice the greatest.
     power = 6.3 * np.sqrt(4.04) * 1.5 * 3 / 0.1
     for share, possible in ((0.9, True), (2.1, False)):
         speed = slow.at[2].set(np.sqrt(share * power))
-        assert bool(can_be_cycle(chain, 6.3, speed)) is possible
+        assert bool(chain.can_be_cycle(6.3, speed)) is possible
     undamped = chain.with_(damping_ratio=jnp.array([0.1, 0.0, 0.1]))
-    assert bool(can_be_cycle(undamped, 6.3, 1e6 * slow))
+    assert bool(undamped.can_be_cycle(6.3, 1e6 * slow))
 
 
 LAWS = {

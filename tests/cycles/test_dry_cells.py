@@ -1,0 +1,273 @@
+"""Limit cycles of cells with dry friction, autonomous and forced: SciPy's with events."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import jaxchain as jc
+from jaxchain.cycles.floquet import floquet_multipliers, monodromy_matrix
+from jaxchain.cycles.limit_cycle import find_limit_cycle
+from jaxchain.model import Coulomb, ExponentialDecay, MechanicalCells
+from jaxchain.model.chain import paper_chain
+
+pytestmark = pytest.mark.long
+LAW = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+FORCED = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), force=1.6, frequency=0.6)
+ONE = MechanicalCells(1.0, damping=0.1, friction=LAW, belt_speed=1.2)
+TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
+RING = MechanicalCells(1.0, damping=0.1, coupling=0.05, friction=LAW, belt_speed=0.8)
+
+
+def zeros(m, n=1):
+    return tuple(jnp.zeros((m, n)))
+
+
+class Events:
+    """One cell of unit masses by SciPy's solver with events; friction acts on q_1."""
+
+    def __init__(self, cells):
+        self.K = np.atleast_2d(cells.stiffness)
+        self.d, self.speed = len(self.K), float(cells.belt_speed)
+        self.damping = float(cells.damping)
+        weakens = isinstance(cells.law, ExponentialDecay)
+        self.mu = lambda speed: 0.5 + 0.5 * np.exp(-speed / 0.5) if weakens else 1.0
+        self.force, self.frequency = float(cells.force or 0.0), float(cells.frequency or 0.0)
+
+    def free(self, t, y):
+        q, v = y[: self.d], y[self.d :]
+        push = self.force * np.cos(self.frequency * t) * np.eye(self.d)[0]
+        return push - self.damping * v - self.K @ q
+
+    def rate(self, mode, t, y):
+        a = self.free(t, y)
+        w = y[self.d] - self.speed
+        a[0] = a[0] - mode * self.mu(mode * w) if mode else 0.0
+        return np.concatenate([y[self.d :], a])
+
+    def run(self, y, t1, t=0.0):
+        """(state at t1, greatest and least q_1, (time, state) of each release)."""
+        y, releases, path = np.array(y, float), [], []
+        r = self.free(t, y)[0]
+        w = y[self.d] - self.speed
+        # A run that begins at a release slides at once.
+        mode = np.sign(w) if abs(w) > 1e-13 else 0.0 if abs(r) < 1.0 - 1e-9 else np.sign(r)
+        while t < t1:
+
+            def lands(t, y, mode=mode):
+                return mode * (y[self.d] - self.speed)
+
+            def turns(t, y):
+                return y[self.d]
+
+            def releases_at(t, y):
+                return np.abs(self.free(t, y)[0]) - 1.0
+
+            event = lands if mode else releases_at
+            event.__dict__.update(terminal=True, direction=-1.0 if mode else 1.0)
+            # The first moments of sliding, in which w is rounding, have no landing.
+            begin, rate = t, partial(self.rate, mode)
+            if mode and abs(y[self.d] - self.speed) < 1e-13:
+                begin = min(t + 1e-3, t1)
+                first = solve_ivp(rate, (t, begin), y, "DOP853", rtol=1e-13, atol=1e-14)
+                y = first.y[:, -1]
+            out = solve_ivp(
+                rate, (begin, t1), y, "DOP853", events=[event, turns], rtol=1e-13, atol=1e-14,
+                max_step=0.1,
+            )  # fmt: skip
+            path += [out.y[0, [0, -1]], out.y_events[1][:, 0] if len(out.y_events[1]) else []]
+            t, y = out.t[-1], out.y[:, -1].copy()
+            if out.status == 1:
+                r = self.free(t, y)[0]
+                if mode:
+                    y[self.d] = self.speed
+                    mode = 0.0 if abs(r) <= 1.0 else np.sign(r)
+                else:
+                    releases.append((t, y.copy()))
+                    mode = np.sign(r)
+        path = np.concatenate(path)
+        return y, np.max(path), np.min(path), releases
+
+    def monodromy(self, y, t1, t=0.0, step=1e-6):
+        """By central differences."""
+        ends = [
+            [self.run(y + sign * row, t + t1, t)[0] for sign in (step, -step)]
+            for row in np.eye(len(y))
+        ]
+        return np.stack([(a - b) / (2 * step) for a, b in ends], axis=1)
+
+
+def flat(cycle):
+    return np.concatenate(cycle.state)
+
+
+def sorted_by_size(values):
+    values = np.asarray(values, complex)
+    return values[np.lexsort((np.imag(values), -np.abs(values).round(9)))]
+
+
+@pytest.fixture(scope="module")
+def forced():
+    return {force: find_limit_cycle(FORCED.with_(force=force), zeros(2)) for force in (1.6, 5.0)}
+
+
+@pytest.mark.parametrize("force", [1.6, 5.0])
+def test_a_forced_cycle_is_scipys(forced, force):
+    """It sticks twice a period at 1.6, and turns round without a stop at 5."""
+    cycle, period = forced[force], 2 * np.pi / 0.6
+    scipy = Events(FORCED.with_(force=force))
+    y, *_ = scipy.run([0.0, 0.0], 30 * period)
+    end, high, low, releases = scipy.run(y, 31 * period, 30 * period)
+    assert len(releases) == (2 if force == 1.6 else 0)
+    assert (cycle.turns, float(cycle.period)) == (1, pytest.approx(period, rel=1e-15))
+    np.testing.assert_allclose(flat(cycle), end, atol=1e-9)
+    np.testing.assert_allclose(cycle.amplitude[0], (high - low) / 2, atol=1e-9)
+    expected = np.linalg.eigvals(scipy.monodromy(y, period, 30 * period))
+    found = cycle.multipliers
+    np.testing.assert_allclose(sorted_by_size(found), sorted_by_size(expected), atol=1e-6)
+    assert np.count_nonzero(found == 0) == (1 if force == 1.6 else 0)
+    assert cycle.stable
+    M = monodromy_matrix(cycle)
+    np.testing.assert_allclose(
+        sorted_by_size(np.linalg.eigvals(M)), sorted_by_size(found), atol=1e-7
+    )
+    np.testing.assert_array_equal(floquet_multipliers(cycle).multipliers, found)
+
+
+def test_without_a_stop_the_amplitude_is_den_hartogs():
+    """X = f [V^2 - (mu / f)^2 U^2]^(1/2), without damping: Trans. ASME 53, 107 (1931)."""
+    f, beta = 5.0, 0.6
+    V = 1 / (1 - beta**2)
+    U = np.sin(np.pi / beta) / (beta * (1 + np.cos(np.pi / beta)))
+    cycle = find_limit_cycle(FORCED.with_(force=f, damping=0.0), zeros(2))
+    expected = f * np.sqrt(V**2 - (U / f) ** 2)
+    np.testing.assert_allclose(cycle.amplitude[0], expected, rtol=1e-9)
+
+
+def test_a_forced_cycle_has_derivatives(forced):
+    def numbers(a):
+        cells = FORCED.with_(force=1.6 + a, frequency=0.6 + a, damping=0.1 + a)
+        cycle = find_limit_cycle(cells, forced[1.6])
+        return jnp.stack([cycle.period, cycle.amplitude[0], *(part[0] for part in cycle.state)])
+
+    slopes, step = jax.jacfwd(numbers)(0.0), 1e-5
+    differences = (numbers(step) - numbers(-step)) / (2 * step)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+    np.testing.assert_allclose(slopes[0], -2 * np.pi / 0.6**2, rtol=1e-12)
+
+
+def test_what_friction_holds_throughout_is_no_cycle():
+    with pytest.raises(RuntimeError, match="steady sliding or sticking"):
+        find_limit_cycle(FORCED.with_(force=0.6), zeros(2))
+
+
+def test_a_period_that_is_no_multiple_of_the_forces_is_refused():
+    with pytest.raises(ValueError, match="forced with the period 10"):
+        find_limit_cycle(FORCED, zeros(2), period=9.0)
+
+
+@pytest.fixture(scope="module")
+def one():
+    return find_limit_cycle(ONE, (jnp.array([0.5]), jnp.array([1.2])))
+
+
+def test_one_mass_has_the_cycle_of_a_chain(one):
+    chain = find_limit_cycle(paper_chain(1, belt_speed=1.2, width=None))
+    for name in ("period", "amplitude", "fastest", "scaled_peak_velocity"):
+        np.testing.assert_allclose(getattr(one, name), getattr(chain, name), atol=1e-10)
+    np.testing.assert_allclose(flat(one), flat(chain), atol=1e-10)
+    np.testing.assert_allclose(one.multipliers, chain.multipliers, atol=1e-7)
+    assert one.stable
+    assert np.isnan(one.liouville_defect)
+
+
+def test_it_is_found_from_a_run_a_cycle_and_a_state_with_its_period(one):
+    run = jc.simulate(ONE, (jnp.array([0.5]), jnp.array([1.2])), 50.0)
+    chain = find_limit_cycle(paper_chain(1, belt_speed=1.3, width=None))
+    begin = jnp.array([-0.1]), jnp.array([1.2])  # it sticks for more of the time
+    for guess, period in ((run, None), (chain, None), (one, None), (begin, 6.36)):
+        found = find_limit_cycle(ONE, guess, period=period)
+        assert float(found.period) == pytest.approx(float(one.period), abs=1e-10)
+    mirrored = find_limit_cycle(ONE.with_(belt_speed=-1.2), one)
+    np.testing.assert_allclose(flat(mirrored), -flat(one), atol=1e-12)
+
+
+def test_what_comes_to_rest_has_no_cycle():
+    with pytest.raises(RuntimeError, match="comes to rest"):
+        find_limit_cycle(ONE.with_(belt_speed=0.0), (jnp.array([0.5]), jnp.array([0.2])))
+
+
+def test_what_settles_at_steady_sliding_is_no_cycle():
+    with pytest.raises(RuntimeError, match="No"):
+        find_limit_cycle(ONE.with_(belt_speed=3.0), (jnp.array([0.5]), jnp.array([0.2])))
+
+
+def test_cycles_of_two_displacements_with_one_contact_are_scipys():
+    cycle, scipy = find_limit_cycle(TWO, zeros(4)), Events(TWO)
+    *_, releases = scipy.run(np.zeros(4), 300.0)
+    (before, _), (after, y) = releases[-2:]
+    period = after - before
+    assert float(cycle.period) == pytest.approx(period, abs=1e-8)
+    np.testing.assert_allclose(flat(cycle), y, atol=1e-8)
+    _, high, low, _ = scipy.run(y, period)
+    np.testing.assert_allclose(cycle.amplitude[0], (high - low) / 2, atol=1e-8)
+    begin, *_ = scipy.run(y, 0.4 * period)
+    assert begin[2] < 0.3  # it slides there
+    expected = np.linalg.eigvals(scipy.monodromy(begin, period))
+    expected = np.delete(expected, np.argmin(np.abs(expected - 1)))
+    np.testing.assert_allclose(
+        sorted_by_size(cycle.multipliers), sorted_by_size(expected), atol=1e-6
+    )
+    assert complex(cycle.multipliers[-1]) == 0
+    assert float(cycle.fastest[0]) == 0.5
+    assert float(cycle.scaled_peak_velocity[0]) == 0.0
+
+
+def test_the_contact_may_be_at_any_displacement():
+    """With the numbers in the other order everything is the same, but for what is listed first."""
+    cycle = find_limit_cycle(TWO, zeros(4))
+    other = MechanicalCells(
+        [[2.0, 0.3], [0.3, 1.0]], damping=0.1, friction=LAW, belt_speed=0.5, sliding=1
+    )
+    turned = find_limit_cycle(other, zeros(4))
+    for name in ("period", "fastest", "scaled_peak_velocity"):
+        np.testing.assert_allclose(getattr(turned, name), getattr(cycle, name), atol=1e-10)
+    np.testing.assert_allclose(turned.multipliers, cycle.multipliers, atol=1e-9)
+    np.testing.assert_allclose(
+        np.stack(turned.state)[[1, 0, 3, 2]], np.stack(cycle.state), atol=1e-10
+    )
+
+
+def test_the_period_of_a_ring_has_the_derivative_of_differences():
+    cycle = find_limit_cycle(RING, (jnp.array([1.5, 0.2, -0.3]), jnp.zeros(3)))
+
+    def period(speed):
+        return find_limit_cycle(RING.with_(belt_speed=speed), cycle, mass=cycle.mass).period
+
+    step = 1e-5
+    slope = (period(0.8 + step) - period(0.8 - step)) / (2 * step)
+    np.testing.assert_allclose(jax.grad(period)(0.8), slope, rtol=1e-6)
+    end = jc.simulate(RING, cycle.state, float(cycle.period)).state
+    np.testing.assert_allclose(end, cycle.state, atol=1e-8)
+
+
+def test_smoothed_cells_know_how_near_the_belts_speed_they_come(one):
+    chain, cells = paper_chain(1, belt_speed=1.2, width=1e-2), ONE.with_(width=1e-2)
+    expected = find_limit_cycle(chain).scaled_peak_velocity
+    found = find_limit_cycle(cells, one).scaled_peak_velocity
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_a_family_of_cycles_has_no_single_one():
+    """Without damping every motion that never comes to the speed of the belt is periodic."""
+    cells = MechanicalCells(1.0, friction=Coulomb(0.5), belt_speed=1.0)
+    with pytest.raises(RuntimeError, match="one of a family"):
+        find_limit_cycle(cells, (jnp.array([0.8]), jnp.zeros(1)), period=2 * np.pi)
+
+
+def test_a_branch_of_dry_cells_says_why_it_is_refused(one):
+    with pytest.raises(ValueError, match="has dry friction"):
+        jc.continue_cycle(one)
