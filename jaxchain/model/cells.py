@@ -70,6 +70,10 @@ class AbstractField(PrintedAsCall, eqx.Module):
         """The period of what depends on time; None if nothing does."""
         return None
 
+    def equilibrium(self) -> State | None:
+        """An equilibrium in closed form; None if there is no formula."""
+        return None
+
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], PerMass] | None:
@@ -207,7 +211,8 @@ class AbstractCells(AbstractField):
     see unless they are given another `component`.
 
     Optional: `forcing_period` for cells whose rate depends on time; `switching` for a force that
-    turns round steeply with the velocity number `contact`.  All other methods are final.
+    turns round steeply with the velocity number `contact`; `equilibrium`, a state from which
+    searches for equilibria start.  All other methods are final.
 
     !!! example
 

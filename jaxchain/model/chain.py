@@ -253,6 +253,10 @@ class Chain(AbstractOscillators):
         del t
         return v - self.belt_speed, self.width
 
+    def equilibrium(self) -> State:
+        """`steady_sliding`; with dry friction and a belt that stands still, x = v = 0."""
+        return steady_sliding(self)
+
     def belt_direction(self) -> ScalarLike:
         """The sign of v_d; 1 for v_d = 0."""
         return jnp.where(self.belt_speed < 0, -1.0, 1.0)
