@@ -115,7 +115,7 @@ def most_lively(chain: AbstractField, state: State) -> int:
     """The mass farthest from sliding, which is assumed to vibrate; n // 2 if traced."""
     if is_traced(chain, state):
         return reference_site(state[0].shape[0])
-    rest = chain.equilibrium(state)
+    rest = chain.equilibrium() or (0.0,) * len(state)
     apart = [(part - still) ** 2 for part, still in zip(state, rest, strict=True)]
     return int(jnp.argmax(sum(apart)))
 

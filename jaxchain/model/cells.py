@@ -139,6 +139,10 @@ class AbstractField(PrintedAsCall, eqx.Module):
         """The period of what depends on time; None if nothing does."""
         return None
 
+    def equilibrium(self) -> State | None:
+        """An equilibrium in closed form; None if there is no formula."""
+        return None
+
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], PerMass] | None:
@@ -192,13 +196,6 @@ class AbstractField(PrintedAsCall, eqx.Module):
         """Whether an equilibrium at y is certainly stable for all time; here it is not known."""
         del t, y
         return jnp.asarray(False)
-
-    def equilibrium(self, like: State) -> State:
-        """The equilibrium beside which motions are judged, with the shapes of `like`.
-
-        Zeros where the model does not know it.
-        """
-        return tuple(jnp.zeros_like(part) for part in like)
 
     def balanced(self, n: int) -> bool:
         """Whether the balance of forces gives the displacement of a mass from all else."""
@@ -314,7 +311,8 @@ class AbstractCells(AbstractField):
     see unless they are given another `component`.
 
     Optional: `forcing_period` for cells whose rate depends on time; `switching` for a force that
-    turns round steeply with the velocity number `contact`.  All other methods are final.
+    turns round steeply with the velocity number `contact`; `equilibrium`, a state from which
+    searches for equilibria start.  All other methods are final.
 
     !!! example
 

@@ -300,6 +300,10 @@ class Chain(AbstractOscillators):
         del t
         return v - self.belt_speed, self.width
 
+    def equilibrium(self) -> State:
+        """`steady_sliding`; with dry friction and a belt that stands still, x = v = 0."""
+        return steady_sliding(self)
+
     def belt_direction(self) -> ScalarLike:
         """The sign of v_d; 1 for v_d = 0."""
         return jnp.where(self.belt_speed < 0, -1.0, 1.0)
@@ -332,11 +336,6 @@ class Chain(AbstractOscillators):
     def free_force(self, x: Float[Array, " n"], v: Float[Array, " n"]) -> Float[Array, " n"]:
         """r = -2 xi v - K x, the force on a mass without friction."""
         return self.restoring_force(x) - 2.0 * self.damping_ratio * v
-
-    def equilibrium(self, like: State) -> State:
-        """Steady sliding."""
-        del like
-        return steady_sliding(self)
 
     def can_be_cycle(self, period: Any, speed: Float[Array, " n"]) -> Bool[Array, ""]:
         """Whether a cycle can have this period, and masses as fast as `speed`.

@@ -47,10 +47,10 @@ class AbstractOscillators(AbstractField):
 
     A vector field in the sense of `diffrax.ODETerm`: call it with (t, (x, v), args).  A subclass
     gives `springs`, `local_force` and `stiffness_diagonal`, and may give `switching`,
-    `release_acceleration`, `forcing_period`, `stick_speed`, `excess_force` and `growth_time`.  All
-    other methods are final: defining one raises `TypeError`.  JAX computes the derivatives, and
-    jaxchain detects whether h depends on t or x. For use with stock diffrax solvers only, a
-    subclass may override `__call__` and `divergence`.
+    `release_acceleration`, `forcing_period`, `equilibrium`, `stick_speed`, `excess_force` and
+    `growth_time`.  All other methods are final: defining one raises `TypeError`.  JAX computes the
+    derivatives, and jaxchain detects whether h depends on t or x. For use with stock diffrax
+    solvers only, a subclass may override `__call__` and `divergence`.
 
     !!! example
 

@@ -47,8 +47,8 @@ def rows() -> Iterator[Row]:
 def _equilibria() -> Iterator[Row]:
     unequal, unknown = (REST[0], jnp.zeros(2)), (REST[0], [math.nan] * 3)
     model = {
-        "chain": (*A_CHAIN, NO_DRY),
-        "guess": (None, "x", 3.0, REST[0], (REST[0],), unequal, unknown),
+        "chain": A_CHAIN,
+        "guess": ("x", 3.0, REST[0], (REST[0],), unequal, unknown),
     }
     search = {"tolerance": POSITIVE, "max_steps": optional(COUNT), "throw": FLAG}
     good = {"chain": CHAIN, "guess": REST}
