@@ -206,6 +206,10 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
         "A cycle was found, but on it a mass sticks or slides at one more place than on the given "
         "one, or two events have changed their order."
     )
+    sticking = (
+        "The belt stands still there: masses with dry friction stick, each in an interval of "
+        "displacements, in which there is no Hopf point. Start at a faster belt."
+    )
 
 
 class Outcome(Printed, eqx.Module):

@@ -97,6 +97,17 @@ QUICK = {
     "choose_numerics": (THREE, lambda c: jc.simulation.choose_numerics(c, 1e-2).width, 1e-12),
     "hopf_belt_speed": (THREE, jc.hopf_belt_speed, 1e-12),
     "hopf_points": (THREE, lambda c: jc.boundaries.hopf_points(c, (0.5, 3.0)).belt_speed, 1e-12),
+    "find_equilibrium": (THREE, lambda c: jc.boundaries.find_equilibrium(c).state, 1e-12),
+    "find_hopf_point": (
+        THREE, lambda c: jc.boundaries.find_hopf_point(c, "belt_speed").value, 1e-12,
+    ),
+    "continue_equilibrium": (
+        THREE,
+        lambda c: jc.boundaries.continue_equilibrium(
+            c, None, "belt_speed", (1.0, 1.6)
+        ).of_kind("hopf")[0].p,
+        1e-9,
+    ),
     "first_lyapunov_coefficient": (
         ONE,
         lambda c: jc.boundaries.first_lyapunov_coefficient(c, 1.15, 1.0, jnp.ones(1, complex)),
@@ -177,8 +188,6 @@ LONG = {
 # Of these others of the table are made, or their only part of friction is.
 ELSEWHERE = {
     "verdicts": "verdict", "depinning_belt_speed": "front_speed", "profile": "identify",
-    # These refuse dry friction, see `tests/refusals`.
-    "find_equilibrium": "", "find_hopf_point": "", "continue_equilibrium": "",
 }  # fmt: skip
 
 

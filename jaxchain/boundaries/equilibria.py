@@ -2,6 +2,11 @@
 
 Steady sliding of a `Chain` is known in closed form, see `hopf_belt_speed` and `hopf_points`; here
 equilibria are found by Newton's method from a guess.
+
+**Dry friction.**  While the belt moves, all masses of an equilibrium slide over it at w = -v_d,
+where friction is smooth: it keeps its direction, also beyond w = 0.  If the belt stands still,
+they stick wherever friction can hold them, |r| <= p mu_st.  As the belt stops, steady sliding ends
+where friction is at that limit.
 """
 
 from __future__ import annotations
@@ -14,7 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import (
     check_concrete,
@@ -32,16 +37,17 @@ from .._types import State
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import Branch, Labels, joined
 from ..continuation.damped_newton import check_tolerance, search
-from ..continuation.implicit import attach_derivative
+from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_chain, as_state
 from ..model.cells import AbstractField
-from ..model.chain import Chain, require_smoothed
+from ..model.chain import Chain
 from ..model.locality import check_autonomous
 from ..model.oscillators import AbstractOscillators
 from ..model.parameters import SPEED, Parameter
 from ..model.parameters import parameter as parameter_row
 from ..observers.base import component_name
-from ..result import Outcome, SearchResult
+from ..result import Outcome, SearchResult, is_one
+from ..solvers.dry_friction import BACKWARD, FORWARD, STICK, free_force, motion
 
 # Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
 _ON_AXIS = 1e-6
@@ -54,23 +60,42 @@ class Equilibrium(Outcome):
     """A state at which nothing changes.
 
     - `state`: m arrays of shape (n,); of a chain (x, v).
-    - `eigenvalues` (m n,): of the Jacobian there, the greatest real part first.
+    - `eigenvalues` (m n,): of the Jacobian there, the greatest real part first; two of each mass
+      that sticks are 0.
     - `residual`: the greatest |rate|; `result`: the outcome; `steps`: the number of Jacobians.
+    - `sticking`: whether dry friction holds the masses on a belt that stands still; then
+      `interval` (2, n) is the least and the greatest displacement of each contact, at which
+      friction is at its limit p mu_st at all contacts, in one direction.  A single mass sticks at
+      every displacement in between; coupled ones where |r| <= p mu_st at each.  NaN where masses
+      slide, or an end was not found; None without dry friction.
 
     See `find_equilibrium` for an example.
     """
 
+    may_be_missing = ("interval",)
     chain: AbstractField
     state: State
     eigenvalues: Complex[Array, " mn"]
     residual: Float[Array, ""]
     result: SearchResult
     steps: Int[Array, ""]
+    sticking: Bool[Array, ""]
+    interval: Float[Array, "two n"] | None
+
+    def _instead(self) -> dict[str, str]:
+        slides = is_one(self.result) and not self.sticking
+        return dict.fromkeys(("sticking", "interval"), "") if slides else {}
 
     @property
     def stable(self) -> bool | None:
-        """Whether all eigenvalues have negative real parts; None if no equilibrium was found."""
-        return bool(jnp.real(self.eigenvalues[0]) < 0) if self.successful else None
+        """Whether all eigenvalues have negative real parts; None if no equilibrium was found.
+
+        Those of masses that stick do not count: a disturbance comes to rest in the interval.
+        """
+        if not self.successful:
+            return None
+        still = 2 * self.state[0].size * int(self.sticking)
+        return int(jnp.sum(jnp.real(self.eigenvalues) < 0)) >= self.eigenvalues.size - still
 
 
 @final
@@ -101,7 +126,7 @@ class HopfPoint(Outcome):
     @property
     def lyapunov_coefficient(self) -> Float[Array, ""]:
         """l1, the first Lyapunov coefficient: see `lyapunov_coefficient`."""
-        rates = Rates(self.chain, len(self.state))
+        rates = Rates.of(self.chain, len(self.state))
         return lyapunov_coefficient(rates, jnp.concatenate(self.state), self.frequency)
 
     def guess(self, amplitude: Any) -> tuple[State, Array]:
@@ -116,22 +141,51 @@ class HopfPoint(Outcome):
 
 
 class Rates(eqx.Module):
-    """The rates of a model as a function of the concatenated state, and of one of its numbers."""
+    """The rates of a model as a function of the concatenated state, and of one of its numbers.
+
+    `direction` of dry friction: that of sliding masses, or STICK; None for a smooth model.
+    """
 
     field: AbstractField
     m: int = eqx.field(static=True)
     parameter: str | None = eqx.field(static=True, default=None)
+    direction: Float[Array, ""] | None = None
+
+    @classmethod
+    def of(cls, field: Any, m: int, parameter: str | None = None) -> Rates:
+        """Those of masses at rest, which a moving belt slides past."""
+        direction = lax.stop_gradient(jnp.sign(-field.belt_speed)) if field.dry else None
+        return cls(field, m, parameter, direction)
 
     def at(self, p: Any = None) -> AbstractField:
         """The model, with the number set to p."""
         return self.field if p is None else self.field.with_(**{str(self.parameter): p})
 
     def __call__(self, u: Float[Array, " mn"], p: Any = None) -> Float[Array, " mn"]:
-        return jnp.concatenate(self.at(p)(0.0, tuple(jnp.split(u, self.m))))
+        field: Any = self.at(p)
+        y = tuple(jnp.split(u, self.m))
+        if self.direction is None:
+            return jnp.concatenate(field(0.0, y))
+        return jnp.concatenate(motion(field, 0.0, y, self.direction))
 
 
 def _residual(u: Array, rates: Rates) -> Array:
     return rates(u)
+
+
+def _balance(u: Array, args: tuple[Rates, Array]) -> Array:
+    """The rates with dry friction; for the contact of masses that stick, a displacement.
+
+    It vanishes at the given displacement if friction can hold the mass there, and otherwise where
+    friction is at its limit, on the side that the mass moves to.
+    """
+    rates, given = args
+    field: Any = rates.field
+    y, parts = jnp.split(u, rates.m), jnp.split(rates(u), rates.m)
+    r, limit = free_force(field, 0.0, tuple(y)), field.static_limit()
+    moved = jnp.clip(y[field.contact - rates.m // 2] - given, -limit - r, limit - r)
+    parts[field.contact] = jnp.where(rates.direction == STICK, moved, parts[field.contact])
+    return jnp.concatenate(parts)
 
 
 @eqx.filter_jit
@@ -177,12 +231,22 @@ def lyapunov_coefficient(
 
 
 def find_equilibrium(
-    chain: Any, guess: Any, *, tolerance: Any = 1e-12, max_steps: Any = 50, throw: bool = True
+    chain: Any,
+    guess: Any = None,
+    *,
+    tolerance: Any = 1e-12,
+    max_steps: Any = 50,
+    throw: bool = True,
 ) -> Equilibrium:
     """The equilibrium of a model near a state, stable or not, by damped Newton steps.
 
-    **Arguments:** `chain`: `AbstractCells`, `AbstractOscillators` or a smoothed `Chain`, without
-    forcing; `guess`: a state; `tolerance` and `max_steps`: see `jaxchain.continuation.newton`.
+    With dry friction all masses slide, at w = -v_d; if the belt stands still they stick, and the
+    equilibria fill an `interval`.  Then the displacements of the contacts are those of `guess`
+    where friction can hold them; other masses move until it can.
+
+    **Arguments:** `chain`: a `Chain`, `AbstractCells` or `AbstractOscillators`, without forcing;
+    `guess`: a state, by default the closed form `chain.equilibrium()`; `tolerance` and
+    `max_steps`: see `jaxchain.continuation.newton`.
 
     **Returns:** an `Equilibrium`, whose state has derivatives in every number of the model.  It
     works under `jit` and `vmap`; there `throw` has no effect.
@@ -199,6 +263,12 @@ def find_equilibrium(
         >>> found = find_equilibrium(chain, (jnp.ones(3), jnp.zeros(3)))
         >>> bool(abs(found.state[0] - steady_sliding(chain)[0]).max() < 1e-12), found.stable
         (True, True)
+
+        On a belt that stands still a mass with mu_st = 1 sticks at any displacement up to 1:
+
+        >>> stuck = find_equilibrium(paper_chain(1, belt_speed=0.0, width=None))
+        >>> bool(stuck.sticking), stuck.interval.ravel().tolist()
+        (True, [-1.0, 1.0])
     """
     state, limit = _checked(chain, guess, tolerance, max_steps)
     check_flag("throw", throw)
@@ -213,26 +283,65 @@ def find_equilibrium(
 
 def _checked(chain: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[State, int]:
     as_chain(chain, AbstractField)
-    require_smoothed(chain, "use `steady_sliding`, or ")
-    state = as_state(chain, guess, "guess")
+    state = as_state(chain, chain.equilibrium() if guess is None else guess, "guess")
     check_autonomous(chain, state)
+    if chain.dry:  # beyond the speed of the belt a law need not be defined
+        half = len(state) // 2
+        state = (*state[:half], *map(jnp.zeros_like, state[half:]))
     return state, check_tolerance(tolerance, max_steps)
+
+
+def _check_sliding(chain: Any) -> None:
+    if chain.dry and not is_traced(chain.belt_speed) and float(chain.belt_speed) == 0.0:
+        raise ValueError(
+            "Argument `chain` must have a belt that moves, but has dry friction and `belt_speed` "
+            "= 0: its masses stick, each in an interval of displacements (`find_equilibrium`), "
+            "in which there is no Hopf point. Give it a speed, `chain.with_(belt_speed=1.0)`."
+        )
 
 
 @eqx.filter_jit
 def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
-    rates, start = Rates(lax.stop_gradient(chain), len(guess)), jnp.concatenate(guess)
+    m, start = len(guess), lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
-    root = search(_residual, lax.stop_gradient(start), rates, tolerance, limit, weights)
-    u = attach_derivative(_residual, root.value, Rates(chain, len(guess)))
-    values = jnp.linalg.eigvals(jax.jacfwd(rates)(root.value))
+    live, frozen = Rates.of(chain, m), Rates.of(lax.stop_gradient(chain), m)
+
+    def solved(residual: Any, args: Any, frozen_args: Any) -> tuple[Any, Array]:
+        root = search(residual, start, frozen_args, tolerance, limit, weights)
+        return root, attach_derivative(residual, root.value, args)
+
+    sticking, interval = jnp.asarray(False), None
+    if frozen.direction is None:
+        root, u = solved(_residual, live, frozen)
+        J = jax.jacfwd(frozen)(root.value)
+    else:
+        contact, sticking = chain.contact, frozen.direction == STICK
+        given = guess[contact - m // 2]
+        root, u = solved(_balance, (live, given), (frozen, lax.stop_gradient(given)))
+        # Contacts that stick are left out, so that their eigenvalues are exactly 0.
+        moves = [jnp.full(given.shape, True)] * m
+        moves[contact] = moves[contact - m // 2] = jnp.broadcast_to(~sticking, given.shape)
+        free = jnp.concatenate(moves)
+        J = jnp.where(jnp.outer(free, free), jax.jacfwd(frozen)(root.value), 0.0)
+
+        def end(direction: Array) -> Array:
+            def at_limit(field: Any) -> Rates:
+                return Rates(field.with_(belt_speed=0.0), m, None, direction)
+
+            root, u = solved(_residual, at_limit(chain), at_limit(frozen.field))
+            return if_found(sticking & root.successful, jnp.split(u, m)[contact - m // 2])
+
+        interval = jnp.sort(jax.vmap(end)(jnp.array([FORWARD, BACKWARD])), axis=0)
+    values = jnp.linalg.eigvals(J)
     return Equilibrium(
         chain=chain,
-        state=tuple(jnp.split(u, len(guess))),
+        state=tuple(jnp.split(u, m)),
         eigenvalues=values[jnp.argsort(-jnp.real(values))],
         residual=root.residual,
         result=root.result,
         steps=root.steps,
+        sticking=sticking,
+        interval=interval,
     )
 
 
@@ -271,7 +380,7 @@ def _hopf_residual(u: Array, system: HopfSystem) -> Array:
 def find_hopf_point(
     chain: Any,
     parameter: str,
-    guess: Any,
+    guess: Any = None,
     *,
     frequency: Any = None,
     tolerance: Any = 1e-12,
@@ -282,8 +391,9 @@ def find_hopf_point(
 
     It solves f(y, p) = 0 and lambda(y, p) = i omega together by damped Newton steps; lambda is the
     eigenvalue that is closest to the imaginary axis at `guess`.  Waves q and -q of a ring, whose
-    eigenvalues are equal, are found as well.  To find all Hopf points in a range, see
-    `continue_equilibrium`.
+    eigenvalues are equal, are found as well.  With dry friction it is a Hopf point of steady
+    sliding; masses that stick, on a belt that stands still, have none.  To find all Hopf points in
+    a range, see `continue_equilibrium`.
 
     **Arguments:** `chain`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
     `parameter`: the name of a number that `chain.with_` takes, one for all cells; `frequency`:
@@ -310,6 +420,7 @@ def find_hopf_point(
     state, limit = _checked(chain, guess, tolerance, max_steps)
     check_flag("throw", throw)
     _check_parameter(chain, parameter)
+    _check_sliding(chain)
     if frequency is not None:
         check_number("frequency", frequency, "it chooses one of several pairs of eigenvalues.")
     found = _hopf_point(
@@ -339,11 +450,11 @@ def _hopf_point(
     chain: Any, parameter: str, guess: State, frequency: Any, tolerance: Array, limit: Array
 ) -> HopfPoint:
     m, frozen = len(guess), lax.stop_gradient(chain)
-    rates = Rates(frozen, m, parameter)
+    rates = Rates.of(frozen, m, parameter)
     p = to_float(frozen.numbers()[parameter])
     y = lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(y.shape, y.shape[0] ** -0.5)
-    y = search(_residual, y, Rates(frozen, m), tolerance, limit, weights).value
+    y = search(_residual, y, Rates.of(frozen, m), tolerance, limit, weights).value
     values = jnp.linalg.eigvals(jax.jacfwd(rates)(y, p))
     far = jnp.abs(jnp.real(values)) / jnp.abs(values)
     if frequency is not None:
@@ -357,8 +468,13 @@ def _hopf_point(
     # A real eigenvalue that vanishes solves the equations as well.
     good = root.successful & (root.value[-2] > _ON_AXIS * omega) & (omega > 0)
     none = SearchResult.where(root.successful, SearchResult.no_step_helps, root.result)
-    u = attach_derivative(_hopf_residual, root.value, HopfSystem(Rates(chain, m, parameter), near))
+    live = Rates.of(chain, m, parameter)
+    u = attach_derivative(_hopf_residual, root.value, HopfSystem(live, near))
     y, p = (root.value[:-2], root.value[-1])
+    if rates.direction is not None:
+        field: Any = rates.at(p)
+        slides = rates.direction * field.belt_speed < 0
+        good, none = good & slides, SearchResult.where(slides, none, SearchResult.sticking)
     values, vectors = jnp.linalg.eig(jax.jacfwd(rates)(y, p))
     mode = vectors[:, jnp.argmin(jnp.abs(values - 1j * root.value[-2]))]
     return HopfPoint(
@@ -418,7 +534,8 @@ def continue_equilibrium(
 
     - `chain`, `guess`: as for `find_equilibrium`.
     - `parameter`: the name of a number that `chain.with_` takes, one for all cells; `bounds`: its
-      range, which contains the value of the chain, and at whose ends the branch ends.
+      range, which contains the value of the chain, and at whose ends the branch ends.  With dry
+      friction it ends at "belt_speed = 0", where the masses stick.
     - `direction`: 1 or -1, the sign of the first change of the number; by default both.
     - `step`, `max_step`: the first and the longest step, by default at most 0.01 and 0.02.
       Lengths are ((change of the number / its range)^2 + (mean of squared changes of the state) /
@@ -446,6 +563,7 @@ def continue_equilibrium(
     check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
     as_chain(chain, AbstractField)
     _check_parameter(chain, parameter)
+    _check_sliding(chain)
     p = float(chain.numbers()[parameter])
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
     if not low <= p <= high:
@@ -455,7 +573,7 @@ def continue_equilibrium(
         )
     check_positive_number("max_step", max_step, "0.02 of the range is usual.")
     state = find_equilibrium(chain, guess).state
-    rates, start = Rates(chain, len(state), parameter), np.concatenate(state)
+    rates, start = Rates.of(chain, len(state), parameter), np.concatenate(state)
     width = high - low if 0.0 < high - low < np.inf else max(abs(p), 1.0)
     size = np.full(start.size, max(1.0, np.max(np.abs(start)))) * start.size**0.5
     options = {
@@ -466,8 +584,11 @@ def continue_equilibrium(
         **options,
     }
 
+    if stops := chain.dry and parameter == "belt_speed":
+        low, high = (max(low, 0.0), high) if p > 0 else (low, min(high, 0.0))
+
     def follow(direction: Any) -> Branch:
-        return continue_branch(
+        branch = continue_branch(
             _plain,
             start,
             p,
@@ -478,6 +599,9 @@ def continue_equilibrium(
             value_and_jacobian=_linearised,
             **options,
         )
+        if stops and branch.ended == "left_bounds" and branch.p[-1] == 0.0:
+            branch = replace(branch, ended="belt_speed = 0")
+        return branch
 
     branch = follow(-1 if direction is None else direction)
     if direction is None and branch.ended not in ("closed", "interrupted", "no_start"):

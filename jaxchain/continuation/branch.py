@@ -23,6 +23,10 @@ ENDINGS = {
     "max_points": "The branch has as many points as asked. Allow more (`max_points`).",
     "stopped": "`stop` was true at the last point.",
     "left_bounds": "The parameter reached `bounds`, on which the branch ends.",
+    "belt_speed = 0": (
+        "The belt stops there: masses with dry friction do not slide any more, but stick, each in "
+        "an interval of displacements. See `find_equilibrium`."
+    ),
     "closed": "The branch came back to its first point.",
     "no_start": (
         "No point of the branch was found near the start. Start closer to a solution; at a fold, "
@@ -132,8 +136,9 @@ class Branch(Printed):
     - `residuals` (k,): max |F| before the last Newton step.
     - `extra`: the further arrays of the residual, stacked along a first axis.
     - `special`: tuple of `SpecialPoint`, in order of arclength.
-    - `ended`: "left_bounds", "closed", "max_points", "stopped", "no_start", "step_too_small" or
-      "interrupted"; `message` gives a remedy, and `reason` the value of `stop`.
+    - `ended`: "left_bounds", "closed", "max_points", "stopped", "no_start", "step_too_small",
+      "interrupted" or, of equilibria, "belt_speed = 0"; `message` gives a remedy, and `reason` the
+      value of `stop`.
     - `counts`: the cost.
     - `ended_first`: of a branch that was followed in both directions, why it ends at its first
       point, else "".

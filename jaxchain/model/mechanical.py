@@ -71,8 +71,8 @@ class MechanicalCells(AbstractCells):
         sliding   M q'' = h - p mu(|w|) sign(w) e_u,     w = u' - v_d,
         sticking  u'' = 0,    while |r| <= p mu_st,      r = e_u M^{-1} h / (e_u M^{-1} e_u),
 
-    h being all other forces and r the force that holds the mass.  Searches for cycles and
-    equilibria need smoothed friction.
+    h being all other forces and r the force that holds the mass.  Searches for cycles need
+    smoothed friction.
 
     **Arguments** (dimensionless, or of any system of units):
 

@@ -154,8 +154,6 @@ def test_failures_are_named():
         find_hopf_point(Bistable(jnp.asarray(0.6)), "p", (jnp.ones(1), jnp.zeros(1)))
     with pytest.raises(ValueError, match=r"`parameter` must be one of \['a', 'b'\]"):
         find_hopf_point(brusselator(), "c", (jnp.ones(1), jnp.ones(1)))
-    with pytest.raises(ValueError, match="dry friction"):
-        find_equilibrium(paper_chain(1, width=None), (jnp.ones(1), jnp.zeros(1)))
 
     class Never(Bistable):
         def rate(self, t, left, own, right):

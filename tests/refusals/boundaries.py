@@ -47,13 +47,14 @@ def rows() -> Iterator[Row]:
 def _equilibria() -> Iterator[Row]:
     unequal, unknown = (REST[0], jnp.zeros(2)), (REST[0], [math.nan] * 3)
     model = {
-        "chain": (*A_CHAIN, NO_DRY),
-        "guess": (None, "x", 3.0, REST[0], (REST[0],), unequal, unknown),
+        "chain": A_CHAIN,
+        "guess": ("x", 3.0, REST[0], (REST[0],), unequal, unknown),
     }
     search = {"tolerance": POSITIVE, "max_steps": optional(COUNT), "throw": FLAG}
     good = {"chain": CHAIN, "guess": REST}
     yield Row("find_equilibrium", boundaries.find_equilibrium, good, model | search)
-    named = model | {"parameter": WORD}
+    standing = Told(DRY.with_(belt_speed=0.0), "`belt_speed` = 0")
+    named = model | {"parameter": WORD, "chain": (*A_CHAIN, standing)}
     yield Row(
         "find_hopf_point", boundaries.find_hopf_point, good | {"parameter": "belt_speed"},
         named | search | {"frequency": optional(NUMBER)},

@@ -1,0 +1,251 @@
+"""Equilibria and Hopf points with dry friction: closed forms, NumPy, SciPy, runs that stay."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from jaxchain import (
+    ExponentialDecay,
+    SearchResult,
+    continue_special,
+    hopf_belt_speed,
+    paper_chain,
+    simulate,
+    steady_sliding,
+)
+from jaxchain.boundaries import (
+    continue_equilibrium,
+    find_equilibrium,
+    find_hopf_point,
+    hopf_points,
+)
+from jaxchain.model import MechanicalCells, stiffness_matrix
+
+# p mu(s) = p (.5 + .5 exp(-2 s)) and its slope.
+friction = lambda s: 0.5 + 0.5 * np.exp(-2 * s)  # noqa: E731
+weakening = lambda s: -np.exp(-2 * s)  # noqa: E731
+LOAD, DAMPING = np.array([1.0, 0.8, 1.2]), np.array([0.05, 0.06, 0.04])
+UNEQUAL = paper_chain(3, belt_speed=1.3, width=None).with_(
+    stiffness=np.array([1.0, 1.1, 0.9]), damping_ratio=DAMPING, normal_load=LOAD
+)
+# Two displacements, of which the second slides, with a spring that hardens.
+M, D, K = (np.array(a) for a in ([2.0, 0.5], [0.1, 0.06], [[1.0, 0.4], [-0.3, 1.5]]))
+CELLS = MechanicalCells(
+    K, M, D, local_force=lambda q, v: (0.0 * q[0], -0.5 * q[1] ** 3), sliding=1,
+    friction=ExponentialDecay(1.0, 0.5, 0.5), belt_speed=1.2, normal_load=0.7,
+)  # fmt: skip
+REST = (jnp.zeros(1),) * 4
+
+
+def position(force):
+    """Where the cells balance a force at the contact: the first displacement is -0.4 u."""
+    u = brentq(lambda u: 0.5 * u**3 + (1.5 + 0.3 * 0.4) * u - force, 0.0, 1.0, xtol=1e-15)
+    return np.array([-0.4 * u, u])
+
+
+def cell_eigenvalues(speed, load=0.7):
+    q = position(load * friction(speed))
+    stiffness = K + np.diag([0.0, 1.5 * q[1] ** 2])
+    damping = np.diag([D[0], D[1] + load * weakening(speed)])
+    forces = np.concatenate([stiffness, damping], axis=1) / M[:, None]
+    return np.linalg.eigvals(np.concatenate([np.eye(4)[2:], -forces]))
+
+
+def in_order(values):
+    return np.sort_complex(np.round(np.asarray(values), 10))
+
+
+def stays(model, state):
+    """Whether all is still in its place after a while, but for rounding."""
+    end = simulate(model, state, 20.0).state
+    return np.allclose(np.concatenate(end), np.concatenate(state), rtol=0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("speed", [1.3, -1.3])
+def test_masses_slide_at_the_closed_form(speed):
+    chain, matrix = UNEQUAL.with_(belt_speed=speed), np.asarray(stiffness_matrix(UNEQUAL))
+    found = find_equilibrium(chain, (jnp.ones(3), jnp.full(3, 2 * speed)))  # beyond the belt
+    x = np.linalg.solve(matrix, np.sign(speed) * LOAD * friction(1.3))
+    np.testing.assert_allclose(found.state, [x, 0 * x], atol=1e-13)
+    damping = np.diag(2 * DAMPING + LOAD * weakening(1.3))
+    J = np.block([[np.zeros((3, 3)), np.eye(3)], [-matrix, -damping]])
+    values = np.linalg.eigvals(J)
+    np.testing.assert_allclose(in_order(found.eigenvalues), in_order(values), atol=2e-10)
+    assert found.stable == (values.real.max() < 0)
+    assert not found.sticking
+    assert np.isnan(found.interval).all()
+    slope = jax.jacfwd(lambda v: find_equilibrium(chain.with_(belt_speed=v)).state[0])(speed)
+    np.testing.assert_allclose(slope, np.linalg.solve(matrix, LOAD * weakening(1.3)), atol=1e-13)
+
+
+def test_cells_with_a_nonlinear_spring_slide_where_scipy_balances_them():
+    for speed in (1.2, 0.1):
+        found = find_equilibrium(CELLS.with_(belt_speed=speed), REST)
+        q = position(0.7 * friction(speed))
+        np.testing.assert_allclose(np.ravel(found.state), [*q, 0, 0], atol=1e-12)
+        values = cell_eigenvalues(speed)
+        np.testing.assert_allclose(in_order(found.eigenvalues), in_order(values), atol=2e-10)
+        assert found.stable == (values.real.max() < 0)
+    assert not found.stable
+
+
+def test_on_a_belt_that_stands_still_masses_stick_in_an_interval():
+    chain, matrix = UNEQUAL.with_(belt_speed=0.0), np.asarray(stiffness_matrix(UNEQUAL))
+    inside = jnp.array([0.3, -0.5, 0.9]), jnp.zeros(3)
+    found = find_equilibrium(chain, inside)
+    assert bool(found.sticking)
+    assert found.stable
+    np.testing.assert_array_equal(found.state, inside)  # friction holds them there
+    ends = np.linalg.solve(matrix, LOAD)
+    np.testing.assert_allclose(found.interval, [-ends, ends], atol=1e-14)
+    np.testing.assert_array_equal(found.eigenvalues, np.zeros(6))
+    # The second mass cannot be held that far out, and moves until it can.
+    out = find_equilibrium(chain, (jnp.array([0.3, -5.0, 0.9]), jnp.ones(3))).state
+    forces = matrix @ out[0]
+    assert (out[0][0], out[0][2]) == (0.3, 0.9)
+    assert forces[1] == pytest.approx(-0.8, abs=1e-14)
+    assert np.all(np.abs(forces) <= LOAD + 1e-14)
+    assert stays(chain, inside)
+    assert stays(chain, out)
+    assert not stays(chain, (out[0].at[1].add(-1e-6), out[1]))
+    assert stays(chain, (jnp.asarray(ends), jnp.zeros(3)))
+    # The other way round: the ends are the limits of steady sliding.
+    for sign, end in zip((-1, 1), found.interval, strict=True):
+        x, _ = steady_sliding(chain.with_(belt_speed=sign * 1e-14))
+        np.testing.assert_allclose(x, end, atol=1e-13)
+
+
+def test_one_contact_of_several_displacements_sticks_in_an_interval():
+    cells = CELLS.with_(belt_speed=0.0)
+    start = (jnp.array([5.0]), jnp.array([0.2]), *REST[2:])
+    found = find_equilibrium(cells, start)
+    # The first displacement is free: K q = 0 in its row.
+    np.testing.assert_allclose(np.ravel(found.state), [-0.08, 0.2, 0, 0], atol=1e-15)
+    assert stays(cells, found.state)
+    end = position(0.7)[1]
+    np.testing.assert_allclose(found.interval, [[-end], [end]], atol=1e-13)
+    far = find_equilibrium(cells, (REST[0], jnp.array([-3.0]), *REST[2:]))
+    assert float(far.state[1][0]) == pytest.approx(-end, abs=1e-13)
+    assert stays(cells, far.state)
+    assert not stays(cells, (far.state[0], far.state[1] * (1 + 1e-6), *REST[2:]))
+    # The one that is free vibrates, undamped or damped.
+    values = in_order([0, 0, *np.roots([2.0, 0.1, 1.0])])
+    np.testing.assert_allclose(in_order(found.eigenvalues), values, atol=2e-10)
+    assert found.stable
+    assert not find_equilibrium(cells.with_(damping=[-0.1, 0.1]), start).stable
+    # A share of the load moves the end, and no mass that is held.
+    end_slope, held_slope = jax.jacfwd(
+        lambda p: (
+            find_equilibrium(cells.with_(normal_load=p), start).interval[1, 0],
+            find_equilibrium(cells.with_(normal_load=p), start).state[1][0],
+        )
+    )(0.7)
+    assert float(end_slope) == pytest.approx(1.0 / (1.62 + 1.5 * end**2), abs=1e-12)
+    assert float(held_slope) == 0.0
+
+
+def test_hopf_points_of_a_chain_are_those_of_the_closed_form():
+    one = paper_chain(1, belt_speed=1.3, width=None)
+    for sign in (1, -1):
+        point = find_hopf_point(one.with_(belt_speed=1.3 * sign), "belt_speed")
+        assert float(point.value) == pytest.approx(sign * np.log(10) / 2, abs=1e-13)
+        assert float(point.growth_slope) == pytest.approx(-0.1 * sign, abs=1e-13)
+        assert float(point.lyapunov_coefficient) == pytest.approx(0.05, abs=1e-12)  # F''' / 8
+    slope = jax.grad(lambda xi: find_hopf_point(one.with_(damping_ratio=xi), "belt_speed").value)
+    assert float(slope(0.05)) == pytest.approx(-0.5 / 0.05, abs=1e-11)  # -v0 / xi
+    point = find_hopf_point(UNEQUAL, "belt_speed")
+    known = hopf_points(UNEQUAL, (0.1, 3.0))
+    last = int(np.argmin(np.abs(known.belt_speed - point.value)))
+    for name, own in (
+        ("belt_speed", point.value), ("frequency", point.frequency),
+        ("growth_slope", point.growth_slope), ("lyapunov_coefficient", point.lyapunov_coefficient),
+    ):  # fmt: skip
+        np.testing.assert_allclose(own, getattr(known, name)[last], rtol=1e-10, err_msg=name)
+    homogeneous = paper_chain(3, belt_speed=1.3, width=None)
+    value = find_hopf_point(homogeneous, "belt_speed").value
+    assert float(value) == pytest.approx(float(hopf_belt_speed(homogeneous)), abs=1e-13)
+
+
+def test_hopf_points_of_cells_are_those_of_numpy():
+    growth = lambda v, p=0.7: cell_eigenvalues(v, p).real.max()  # noqa: E731
+    speed = brentq(growth, 0.5, 1.5, xtol=1e-15)
+    point = find_hopf_point(CELLS, "belt_speed", REST)
+    assert float(point.value) == pytest.approx(speed, abs=1e-12)
+    values = cell_eigenvalues(speed)
+    omega = np.abs(values[np.argmax(values.real)].imag)
+    assert float(point.frequency) == pytest.approx(omega, abs=1e-11)
+    slope = (growth(speed + 1e-5) - growth(speed - 1e-5)) / 2e-5
+    assert float(point.growth_slope) == pytest.approx(slope, abs=1e-8)
+    load = brentq(lambda p: growth(1.2, p), 0.5, 1.5, xtol=1e-15)
+    at = find_hopf_point(CELLS, "normal_load", REST).value
+    assert float(at) == pytest.approx(load, abs=1e-12)
+    # tanh(1.2 / width) is 1 to the last digit.
+    smoothed = find_hopf_point(CELLS.with_(width=1e-2), "belt_speed", REST)
+    assert float(smoothed.lyapunov_coefficient) == pytest.approx(
+        float(point.lyapunov_coefficient), rel=1e-9
+    )
+
+
+def test_a_branch_of_sliding_ends_where_the_belt_stops():
+    chain = paper_chain(3, belt_speed=1.0, width=None)
+    for sign in (1, -1):
+        own = chain.with_(belt_speed=sign)
+        branch = continue_equilibrium(own, None, "belt_speed", (-2.0, 1.5))
+        ends = (branch.ended_first, branch.ended)
+        assert ends == ("belt_speed = 0", "left_bounds")[::sign]
+        np.testing.assert_allclose(
+            branch.u[:, :3], sign * np.tile(friction(np.abs(branch.p)), (3, 1)).T, atol=1e-12
+        )
+        (point,) = branch.of_kind("hopf")
+        assert point.p == pytest.approx(sign * np.log(10) / 2, abs=1e-9)
+        np.testing.assert_array_equal(branch.stable, np.abs(branch.p) > np.abs(point.p))
+        stop = 0 if sign > 0 else -1
+        assert branch.p[stop] == 0.0
+        np.testing.assert_allclose(branch.u[stop, :3], sign, atol=1e-13)  # p mu_st / k
+    assert "The belt stops there" in branch.message
+    assert branch.to_dataset().ended == "belt_speed = 0"
+    by_load = continue_equilibrium(CELLS, REST, "normal_load", (0.5, 1.5))
+    assert (by_load.ended_first, by_load.ended) == ("left_bounds", "left_bounds")
+
+
+def test_a_curve_of_dry_hopf_points_ends_where_the_belt_stops():
+    one = paper_chain(1, belt_speed=1.3, width=None)
+    curve = continue_special(find_hopf_point(one, "belt_speed"), "damping_ratio")
+    assert "belt_speed = 0" in curve.ended
+    some = curve.second > 1e-3
+    np.testing.assert_allclose(
+        curve.first[some], 0.5 * np.log(1.0 / (2.0 * curve.second[some])), atol=1e-9
+    )
+    assert curve.second.max() == pytest.approx(0.5, abs=1e-9)  # the weakening is greatest there
+
+
+def test_masses_that_stick_have_no_hopf_point_and_say_so():
+    still = paper_chain(2, belt_speed=0.0, width=None)
+    for search in (
+        lambda: find_hopf_point(still, "damping_ratio"),
+        lambda: find_hopf_point(still, "belt_speed"),
+        lambda: continue_equilibrium(still, None, "mu_static", (0.5, 2.0)),
+    ):
+        with pytest.raises(ValueError, match=r"belt that moves.*`belt_speed` = 0.*no Hopf point"):
+            search()
+
+    def result(v):
+        found = find_hopf_point(still.with_(belt_speed=v), "belt_speed", throw=False)
+        return found.result
+
+    results = jax.vmap(result)(jnp.array([0.0, 1.2]))
+    codes = [SearchResult.sticking, SearchResult.successful]
+    np.testing.assert_array_equal(results._value, [code._value for code in codes])
+    speeds = jnp.array([-1.0, 0.0, 1.0])
+    found = jax.vmap(lambda v: find_equilibrium(still.with_(belt_speed=v)))(speeds)
+    np.testing.assert_array_equal(found.sticking, speeds == 0)
+    np.testing.assert_allclose(found.state[0][:, 0], np.sign(speeds) * friction(1.0), atol=1e-14)
+
+
+def test_without_a_guess_there_must_be_a_closed_form():
+    np.testing.assert_array_equal(UNEQUAL.equilibrium(), steady_sliding(UNEQUAL))
+    assert CELLS.equilibrium() is None
+    with pytest.raises(ValueError, match="Argument `guess` must be a tuple of arrays"):
+        find_equilibrium(CELLS)
