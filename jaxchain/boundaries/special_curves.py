@@ -509,11 +509,11 @@ def find_special_cycle(
         equations, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
     model = equations.field
     chain = model if chain is None else as_chain(chain, AbstractField)
+    check_kind("chain", chain, type(model), "the model of `point`", "change its numbers.")
     if equations.dry:
-        chain = chain.with_(width=None) if isinstance(chain, Chain) else chain
+        chain = chain.with_(width=None)
     else:
         require_smoothed(chain, "")
-    check_kind("chain", chain, type(model), "the model of `point`", "change its numbers.")
     found = _in_steps(equations, chain, name, U, to_float(tolerance), jnp.asarray(limit))
     return _checked(found) if throw else found
 
@@ -926,7 +926,7 @@ def _equations(point: Any, second: Any) -> tuple[Any, Array]:
     """(the equations of the curve, their unknowns at its start)."""
     if isinstance(point, HopfPoint):
         y, field, first = jnp.concatenate(point.state), point.chain, point.parameter
-        rates = Rates(field, len(point.state), first)
+        rates = Rates.of(field, len(point.state), first)
         U = jnp.append(y, jnp.stack([point.frequency**2, point.value]))
         return _HopfEquations(rates, second), U
     equations, first, U = _start(point)
@@ -957,7 +957,8 @@ def _ranges(bounds: Any, *names: str) -> dict[str, tuple[float, float]]:
 def _limits(equations: Any, U: np.ndarray) -> dict[str, tuple[float, float]]:
     """The ranges of both numbers that have such points, on the side of the start."""
     limits = {}
-    driven = equations.kind != "hopf" and equations.shooting.turns is None
+    hopf = equations.kind == "hopf"
+    driven = equations.field.dry if hopf else equations.shooting.turns is None
     for name, value in zip(equations.names, U[-2:], strict=True):
         signed = isinstance(equations.field, Chain) and parameter(name).sign != "any"
         ends_at_0 = signed or (driven and name == "belt_speed" and value != 0)
@@ -1091,8 +1092,6 @@ def _end_of_folds(
     (first, second), (p, q) = ranges, unknowns[-1, -2:]
     ((state, period, _),) = equations.cycles([unknowns[-1]])
     chain, frequency = equations.field.with_(**{first: p, second: q}), 2 * np.pi / period
-    if equations.dry:  # of sliding masses it is the same to rounding
-        chain = chain.with_(width=1e-3 * jnp.abs(chain.belt_speed))
     hopf = find_hopf_point(chain, first, state, frequency=frequency, throw=False)
     if not hopf.successful:
         return None
