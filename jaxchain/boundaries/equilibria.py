@@ -315,6 +315,7 @@ def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Eq
         contact, sticking = chain.contact, frozen.direction == STICK
         given = guess[contact - m // 2]
         root, u = solved(_balance, (live, given), (frozen, lax.stop_gradient(given)))
+        # Contacts that stick are left out, so that their eigenvalues are exactly 0.
         moves = [jnp.full(given.shape, True)] * m
         moves[contact] = moves[contact - m // 2] = jnp.broadcast_to(~sticking, given.shape)
         free = jnp.concatenate(moves)

@@ -61,7 +61,7 @@ class _AbstractReadyMade(AbstractCells):
         check_per_mass(**self.numbers())
 
     @property
-    def n(self) -> int | None:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def n(self) -> int | None:
         """The number of cells; None if every number is one for all."""
         return max((len(a) for a in self.numbers().values() if a.ndim), default=None)
 

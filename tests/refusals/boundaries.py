@@ -53,7 +53,8 @@ def _equilibria() -> Iterator[Row]:
     search = {"tolerance": POSITIVE, "max_steps": optional(COUNT), "throw": FLAG}
     good = {"chain": CHAIN, "guess": REST}
     yield Row("find_equilibrium", boundaries.find_equilibrium, good, model | search)
-    named = model | {"parameter": WORD}
+    standing = Told(DRY.with_(belt_speed=0.0), "`belt_speed` = 0")
+    named = model | {"parameter": WORD, "chain": (*A_CHAIN, standing)}
     yield Row(
         "find_hopf_point", boundaries.find_hopf_point, good | {"parameter": "belt_speed"},
         named | search | {"frequency": optional(NUMBER)},
