@@ -241,7 +241,7 @@ def test_the_contact_may_be_at_any_displacement():
     )
 
 
-def test_the_period_of_a_ring_has_the_derivative_of_differences():
+def test_a_ring_has_the_cycle_of_a_chain_and_the_derivative_of_differences():
     cycle = find_limit_cycle(RING, (jnp.array([1.5, 0.2, -0.3]), jnp.zeros(3)))
 
     def period(speed):
@@ -250,8 +250,14 @@ def test_the_period_of_a_ring_has_the_derivative_of_differences():
     step = 1e-5
     slope = (period(0.8 + step) - period(0.8 - step)) / (2 * step)
     np.testing.assert_allclose(jax.grad(period)(0.8), slope, rtol=1e-6)
-    end = jc.simulate(RING, cycle.state, float(cycle.period)).state
-    np.testing.assert_allclose(end, cycle.state, atol=1e-8)
+    chain = jc.Chain(3, LAW, 0.8, 0.05, coupling=0.05)
+    same = find_limit_cycle(chain, cycle)
+    np.testing.assert_allclose(flat(cycle), flat(same), atol=1e-9)
+    for name in ("period", "amplitude", "fastest"):
+        np.testing.assert_allclose(getattr(cycle, name), getattr(same, name), atol=1e-10)
+    np.testing.assert_allclose(
+        sorted_by_size(cycle.multipliers), sorted_by_size(same.multipliers), atol=1e-7
+    )
 
 
 def test_smoothed_cells_know_how_near_the_belts_speed_they_come(one):
