@@ -52,14 +52,10 @@ def as_state(
     whose forces are not local there at the time `t0`.
     """
     names = [variable.name for variable in chain.variables]
-    wanted = f"the tuple ({', '.join(names)})" if names else "a tuple of arrays"
-    n = chain.n
+    wanted, n = chain.state_in_words, chain.n
     size = "(n,)" if n is None else f"({n},)"
-    if (
-        not isinstance(state, tuple | list)
-        or not state
-        or len(state) != (len(names) or len(state))
-    ):
+    several = isinstance(state, tuple | list) and len(state) > 0
+    if not several or (names and len(state) != len(names)):
         raise ValueError(
             f"Argument `{name}` must be {wanted}, one array of shape {size} for each variable of "
             f"`{type(chain).__name__}`, but is {shown(state)}: {_STATES}"
@@ -71,12 +67,11 @@ def as_state(
     shapes = {part.shape for part in parts}
     other = parts[0].shape[-1:] != (n,) and n is not None
     if len(shapes) > 1 or other or parts[0].ndim != 1 + batch or not parts[0].size:
-        shape = (
-            f"(states, {size[1:-2]})" if batch else f"{size}: use `jax.vmap` or `sweep` for many"
-        )
+        shape = f"{size}: use `jax.vmap` or `sweep` for many"
+        shape = f"(states, {size[1:-2]})" if batch else shape
         raise ValueError(
-            f"Argument `{name}` has parts of shapes {[part.shape for part in parts]}, but must be "
-            f"{wanted} of shape {shape}."
+            f"Argument `{name}` has parts of shapes {[part.shape for part in parts]}, but"
+            f"{'' if n is None else f' for {n} masses'} must be {wanted} of one shape {shape}."
         )
     for part, label in zip(parts, labels, strict=True):
         check_finite(label, part, _STATES)

@@ -81,6 +81,13 @@ class AbstractField(PrintedAsCall, eqx.Module):
         named = StateVariable(str(index), "1", f"component {index}")
         return known[index] if index < len(known) else named
 
+    @property
+    def state_in_words(self) -> str:
+        """What a state is, for messages."""
+        names = [variable.name for variable in self.variables]
+        what = {0: "a tuple of arrays", 2: "the pair"}.get(len(names), "the tuple")
+        return f"{what} ({', '.join(names)})" if names else what
+
     def velocity_of(self, index: int) -> int | None:
         """The index of the variable that is the rate of this one; None if there is none."""
         del index

@@ -293,17 +293,14 @@ def _check_initial(
         if not varied:
             given = known_again(initial), chain
             states = [shape_of(_first_state, given, programs=start_program)]
-    names = [variable.name for variable in chain.variables]
-    m = len(names) or (len(states[0]) if isinstance(states[0], tuple | list) else 0)
+    first = states[0]
+    m = len(chain.variables) or (len(first) if isinstance(first, tuple | list) else 0)
     n = chain.n or 1
     for state in states:
         if not isinstance(state, tuple | list) or len(state) != m:
-            wanted = (
-                f"the tuple ({', '.join(names)})" if names else f"a tuple of {m or 'm'} arrays"
-            )
             raise ValueError(
-                f"Argument `initial` must be {wanted} or return it, but "
-                f"that is {shown(state)}: see `excited_state`."
+                f"Argument `initial` must be {chain.state_in_words} or return it, but that is "
+                f"{shown(state)}: see `excited_state`."
             )
         if chain.n is None:
             n = max(n, *(math.prod(jnp.shape(part)) for part in state))

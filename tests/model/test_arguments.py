@@ -29,7 +29,10 @@ def test_valid_values_are_returned():
         (lambda: as_chain(None, remedy="use it."), "but is None: use it.$"),
         (lambda: as_chain(eqx.tree_at(lambda c: c.belt_speed, CHAIN, jnp.float32(1.0))), "64-bit"),
         (lambda: as_state(CHAIN, jnp.ones(3)), "`initial` must be the pair"),
-        (lambda: as_state(CHAIN, (jnp.ones(2), jnp.ones(2)), "state"), "`state` has .*for 3 mass"),
+        (
+            lambda: as_state(CHAIN, (jnp.ones(2), jnp.ones(2)), "state"),
+            "`state` has .*for 3 masses",
+        ),
         (lambda: as_state(CHAIN, (jnp.ones(3), jnp.ones(2))), r"shape \(3,\): use `jax.vmap`"),
         (lambda: as_state(CHAIN, (jnp.ones(3),) * 2, batch=True), r"shape \(states, 3\)"),
         (lambda: as_state(CHAIN, (jnp.ones(3), jnp.full(3, jnp.nan))), "velocity` must be finite"),
