@@ -19,7 +19,6 @@ from ..model.arguments import as_chain
 from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain
 from ..model.oscillators import AbstractOscillators
-from ..model.tridiagonal import cell_solver, factor, shifted
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
 from .event_driven import EventDriven
 
@@ -145,9 +144,7 @@ def fit_linear_solve(
 @eqx.filter_jit
 def _contraction(cells: AbstractCells, state: State, step: float) -> Array:
     """By which a sweep contracts at a state, for a step of this length; 0 without neighbours."""
-    here = cells.linearised(0.0, state)
-    lu = factor(shifted(here.own, 1.0 / step))
-    _, rho = cell_solver(lu, here.left, here.right, cells.ends, 1)
+    rho = cells.linearised(0.0, state).jacobian.shift(1.0 / step).solver(1).contraction
     return jnp.zeros(()) if rho is None else rho
 
 
