@@ -303,7 +303,7 @@ class AbstractCells(AbstractField):
 
     def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "mn mn"]:
         """dy'/dy, dense, in the order of the concatenated state."""
-        return self.linearised(t, y).jacobian.to_dense()
+        return self.linearised(t, y).jacobian.to_dense(y[0].shape[0])
 
     def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
         """tr J, the sum of the derivatives of every rate in its own number."""

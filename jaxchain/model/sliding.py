@@ -149,7 +149,7 @@ def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
     k = jnp.broadcast_to(chain.stiffness_diagonal(n), (n,))
     if chain.springs is None:
         return jnp.diag(k)
-    return spring_matrix(chain.springs, n).shift(k).to_dense()
+    return spring_matrix(chain.springs, n).shift(k).to_dense(n)
 
 
 def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:

@@ -75,9 +75,9 @@ class BlockTridiagonal(eqx.Module):
     def __matmul__(self, b: Sequence[Any]) -> Vector:
         return [-part for part in self.residual([jnp.zeros_like(b[0])] * len(self.own), b)]
 
-    def to_dense(self) -> Float[Array, "mn mn"]:
-        """T as a matrix, in the order of the concatenated parts of b."""
-        n, corner = jax.tree.leaves(self)[0].shape[0], self.ends == "cyclic"
+    def to_dense(self, n: int) -> Float[Array, "mn mn"]:
+        """T of n cells as a matrix, in the order of the concatenated parts of b."""
+        corner = self.ends == "cyclic"
         # Products with constants compile at once; the convolutions of `@` take seconds.
         before = np.eye(n, k=-1) + corner * np.eye(n, k=n - 1)
         places = np.eye(n), before, before.T
@@ -109,7 +109,9 @@ class BlockTridiagonal(eqx.Module):
         all_rows = BlockTridiagonal(nothing, P, Q, self.ends)
         P, Q = ([rows[i] for i in seen] for rows in (P, Q))
         seen_rows = BlockTridiagonal(nothing[: len(seen)], P, Q, self.ends)
-        exact = seen_rows._elimination() if sweeps is None else None
+        exact = None
+        if sweeps is None:
+            exact = jax.tree.map(operator.neg, seen_rows)._elimination()
 
         def solve(r: Vector) -> Vector:
             base = substitute(lu, r)
@@ -127,7 +129,7 @@ class BlockTridiagonal(eqx.Module):
         return Solver(solve, rho, pivots)
 
     def _elimination(self) -> Callable[[Vector], Vector]:
-        """Solves (1 + T) s = r, where `own` is zero, from one end to the other.
+        """Solves (1 - T) s = r, where `own` is zero, from one end to the other.
 
         A ring is cut at its last cell, whose numbers are solved for last (a bordered system).
         """
@@ -156,12 +158,12 @@ class BlockTridiagonal(eqx.Module):
         def tridiagonal(r: Float[Array, "rows q k"]) -> Float[Array, "rows q k"]:
             def forward(z: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
                 a, d, r = row
-                z = divide(d, r - a @ z)
+                z = divide(d, r + a @ z)
                 return z, z
 
             def backward(s: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
                 g, z = row
-                s = z - g @ s
+                s = z + g @ s
                 return s, s
 
             start = jnp.zeros(r.shape[1:])
@@ -178,8 +180,8 @@ class BlockTridiagonal(eqx.Module):
         def solve(r: Vector) -> Vector:
             right = jnp.stack(r, axis=-1)[:, :, None]
             s = tridiagonal(right[:rows])
-            corner = divide(last, right[-1] - A[-1] @ s[-1] - C[-1] @ s[0])
-            s = s - jax.vmap(lambda w: w @ corner)(W)
+            corner = divide(last, right[-1] + A[-1] @ s[-1] + C[-1] @ s[0])
+            s = s + jax.vmap(lambda w: w @ corner)(W)
             return list(jnp.concatenate([s, corner[None]])[:, :, 0].T)
 
         return solve
@@ -284,6 +286,6 @@ def exact_solver(
     if diagonal.shape[0] == 1:
         return lambda r: r / (diagonal - lower - upper)
     inverse = 1.0 / diagonal
-    sides = [[-inverse * lower]], [[-inverse * upper]]
+    sides = [[inverse * lower]], [[inverse * upper]]
     solve = BlockTridiagonal([[None]], *sides, springs.ends)._elimination()
     return lambda r: solve([inverse * r])[0]

@@ -158,8 +158,8 @@ def test_a_block_tridiagonal_system_is_solved(n, ends, sweeps):
                 dense[i, k, j, (k + offset) % n] += part[i][j][k]
     dense, right = dense.reshape(m * n, -1), rng.normal(size=(m, n))
     matrix = BlockTridiagonal(D, *sides, ends)
-    np.testing.assert_array_equal(matrix.to_dense(), dense)
-    np.testing.assert_allclose(matrix.shift(2.0).to_dense(), 2.0 * np.eye(m * n) - dense)
+    np.testing.assert_array_equal(matrix.to_dense(n), dense)
+    np.testing.assert_allclose(matrix.shift(2.0).to_dense(n), 2.0 * np.eye(m * n) - dense)
     product = jnp.concatenate(matrix @ list(jnp.asarray(right)))
     np.testing.assert_allclose(product, dense @ right.ravel(), atol=1e-13)
     solve, rho, pivots = matrix.solver(sweeps)
