@@ -26,6 +26,7 @@ from .._final import final
 from .._types import ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain
+from ..model.sliding import stiffness_matrix
 from ..observers.quantities import participation_ratio
 from ..result import Printed
 
@@ -177,11 +178,7 @@ def linear_modes(chain: Any) -> LinearModes:
 
 @eqx.filter_jit  # one small program instead of a dozen
 def _modes(chain: Chain) -> LinearModes:
-    n = chain.n
-    stiffness = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
-    if chain.springs is not None:
-        stiffness = stiffness - chain.springs.dense(n)
-    square, columns = jnp.linalg.eigh(stiffness)
+    square, columns = jnp.linalg.eigh(stiffness_matrix(chain))
     shape = columns.T
     return LinearModes(
         jnp.sqrt(square), shape, participation_ratio(shape), jnp.sum(shape**4, axis=0)

@@ -26,22 +26,20 @@ from .friction import AbstractFriction, AbstractFrictionLaw
 from .locality import CELLS_FINAL, Dependence, check_cells, dependence
 from .parameters import Parameter
 from .springs import neighbours
-from .tridiagonal import Entries
+from .tridiagonal import BlockTridiagonal, Entries
 
 
 class Linearisation(NamedTuple):
     """The rate of cells and its derivatives at a state; None for one that is always zero.
 
-    `rate`: m arrays (N,); `time`: df_i/dt; `own`, `left`, `right`: m rows of m entries, df_i/dy_j
-    of the cell itself and of its neighbours.  At a free end, and in a ring of one, the neighbour
-    is the cell itself, whose derivatives are in `own`.
+    `rate`: m arrays (N,); `time`: df_i/dt; `jacobian`: df_i/dy_j of the cell itself and of its
+    neighbours.  At a free end, and in a ring of one, the neighbour is the cell itself, whose
+    derivatives are in `own`.
     """
 
     rate: State
     time: list[Float[Array, " n"] | None]
-    own: Entries
-    left: Entries
-    right: Entries
+    jacobian: BlockTridiagonal
 
 
 class StateVariable(NamedTuple):
@@ -411,15 +409,17 @@ class AbstractCells(AbstractField):
             by_time = [
                 slope if used else None for slope, used in zip(slopes, of.time, strict=True)
             ]
-        own, before, after = (
-            entries(k, getattr(of, name)) for k, name in ((1, "own"), (0, "left"), (2, "right"))
-        )
-        own, before, after = _fold_ends(own, before, after, self.ends, n)
-        return Linearisation(rate(t, left, y, right), by_time, own, before, after)
+        blocks = entries(1, of.own), entries(0, of.left), entries(2, of.right)
+        jacobian = BlockTridiagonal(*_fold_ends(*blocks, self.ends, n), self.ends)
+        return Linearisation(rate(t, left, y, right), by_time, jacobian)
+
+    def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "mn mn"]:
+        """dy'/dy, dense, in the order of the concatenated state."""
+        return self.linearised(t, y).jacobian.to_dense(y[0].shape[0])
 
     def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
         """tr J, the sum of the derivatives of every rate in its own number."""
-        own = self.linearised(t, y).own
+        own = self.linearised(t, y).jacobian.own
         diagonal = [own[i][i] for i in range(len(y))]
         return sum((jnp.sum(part) for part in diagonal if part is not None), jnp.zeros(()))
 

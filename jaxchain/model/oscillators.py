@@ -181,15 +181,6 @@ class AbstractOscillators(AbstractField):
         """tr J = sum of dh_n/dv_n."""
         return jnp.sum(self.local_force_and_slopes(t, *y)[1].velocity)
 
-    def jacobian(self, t: ScalarLike, y: State) -> Float[Array, "two_n two_n"]:
-        """[[0, I], [diag(dh/dx) - K, diag(dh/dv)]], dense, in the order (x_1..x_n, v_1..v_n)."""
-        n = y[1].shape[0]
-
-        def rate(flat: Array) -> Array:
-            return jnp.concatenate(self(t, (flat[:n], flat[n:])))
-
-        return jax.jacfwd(rate)(jnp.concatenate(y))
-
     def _place(self, name: str) -> str:
         return "springs.constant" if name == "coupling" else name
 

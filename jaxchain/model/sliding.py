@@ -21,6 +21,7 @@ from .._checks import as_array
 from .._types import PerMass
 from .arguments import as_chain
 from .chain import Chain
+from .tridiagonal import spring_matrix
 
 # Range of belt speeds: from well inside the smoothed layer, or for dry friction from below any
 # weakening of a law, to where friction no longer changes.
@@ -145,14 +146,10 @@ def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
          [-0.01  0.   -0.01  1.02]]
     """
     n = as_chain(chain).n
-    K = jnp.diag(jnp.broadcast_to(chain.stiffness_diagonal(n), (n,)))
+    k = jnp.broadcast_to(chain.stiffness_diagonal(n), (n,))
     if chain.springs is None:
-        return K
-    # Products with constants compile at once; the convolutions of `Springs.dense` take seconds in
-    # programs that use K in many places.
-    before, after = np.roll(np.eye(n), -1, axis=1), np.roll(np.eye(n), 1, axis=1)
-    lower, upper = chain.springs.off_diagonals(n)
-    return K - lower[:, None] * before - upper[:, None] * after
+        return jnp.diag(k)
+    return spring_matrix(chain.springs, n).shift(k).to_dense(n)
 
 
 def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:

@@ -1,22 +1,24 @@
-"""Linear systems of cells that see their neighbours: (cyclic) block tridiagonal, in O(N).
+"""(Cyclic) block tridiagonal matrices, the Jacobians of cells that see their neighbours, in O(N).
 
-Row n of the system is  D_n b_n - L_n b_{n-1} - R_n b_{n+1} = r_n  with small blocks whose entries
-are arrays over the cells, or None where they are always zero.  The q numbers that neighbours see
-form a system of their own: with P = D^{-1} L and Q = D^{-1} R,
+Of the m numbers of a cell its neighbours see q.  These form a system of their own: T b = r with
+the blocks D, L, R and the matrices P = D^{-1} L, Q = D^{-1} R, which have q columns, is
 
-    b_n = D_n^{-1} r_n + P_n s_{n-1} + Q_n s_{n+1},      s = the seen numbers of b.
+    b_n = D_n^{-1} r_n - P_n s_{n-1} - Q_n s_{n+1},      s = the seen numbers of b.
 
-A chain's displacements are eliminated beforehand, so that its systems (diag(d) - s C) b = r with
+A chain's displacements are eliminated beforehand, so that its systems (diag(d) - c C) b = r with
 the springs' matrix C have one number a mass.
 """
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -24,18 +26,172 @@ from .._computed_once import flatten, materialize, spread
 from .._types import PerMass, ScalarLike
 from .springs import Springs, neighbours
 
-# m rows of m entries: arrays over the cells, None for zero.
+# Rows of entries: arrays over the cells, None for zero.
 Entries = list[list[Any]]
 Vector = list[Any]
 
 
-def shifted(own: Entries, shift: Any) -> Entries:
-    """The blocks shift - own; a diagonal entry is an array even where `own` has none."""
-    like = next((part for row in own for part in row if part is not None), jnp.zeros(1))
-    matrix = [[None if part is None else -part for part in row] for row in own]
-    for i, row in enumerate(matrix):
-        row[i] = jnp.full_like(like, shift) if row[i] is None else row[i] + shift
-    return matrix
+class Solver(NamedTuple):
+    """`solve(r)` is the b of T b = r, exactly or by Jacobi sweeps.
+
+    Sweeps contract by `contraction` in the maximum norm of the seen numbers, so that m of them
+    leave at most contraction^(m+1) / (1 - contraction) of these; None where nothing is left.
+    `pivots`: those of each block, which should have the signs of its diagonal: see `factor`.
+    """
+
+    solve: Callable[..., Any]
+    contraction: Float[Array, ""] | None
+    pivots: Vector
+
+
+class BlockTridiagonal(eqx.Module):
+    """(T b)_n = own_n b_n + left_n b_{n-1} + right_n b_{n+1}: m rows of m entries each.
+
+    `ends` is "cyclic", or "free": beyond a free end there is nothing (zero).  In a ring of two
+    both neighbours are the same one; a ring of one has no neighbours: `left` and `right` are None.
+    """
+
+    own: Entries
+    left: Entries
+    right: Entries
+    ends: str = eqx.field(static=True)
+
+    def shift(self, s: Any) -> BlockTridiagonal:
+        """s - T; every diagonal entry of `own` is then an array."""
+        like = next(iter(jax.tree.leaves(self)), jnp.zeros(1))
+        minus = jax.tree.map(operator.neg, self)
+        for i, row in enumerate(minus.own):
+            row[i] = jnp.full_like(like, s) if row[i] is None else row[i] + s
+        return minus
+
+    def residual(self, r: Sequence[Any], b: Sequence[Any]) -> Vector:
+        """r - T b."""
+        for j, part in enumerate(b):
+            seen = part, *neighbours(part, self.ends)
+            for entries, one in zip((self.own, self.left, self.right), seen, strict=True):
+                r = [_minus(total, row[j], one) for total, row in zip(r, entries, strict=True)]
+        return list(r)
+
+    def __matmul__(self, b: Sequence[Any]) -> Vector:
+        return [-part for part in self.residual([jnp.zeros_like(b[0])] * len(self.own), b)]
+
+    def to_dense(self, n: int) -> Float[Array, "mn mn"]:
+        """T of n cells as a matrix, in the order of the concatenated parts of b."""
+        corner = self.ends == "cyclic"
+        # Products with constants compile at once; the convolutions of `@` take seconds.
+        before = np.eye(n, k=-1) + corner * np.eye(n, k=n - 1)
+        places = np.eye(n), before, before.T
+
+        def block(parts: tuple[Any, ...]) -> Array:
+            pairs = zip(parts, places, strict=True)
+            return sum((p[:, None] * at for p, at in pairs if p is not None), jnp.zeros((n, n)))
+
+        rows = zip(self.own, self.left, self.right, strict=True)
+        return jnp.block([[block(parts) for parts in zip(*row, strict=True)] for row in rows])
+
+    def solver(self, sweeps: int | None) -> Solver:
+        """Solves T b = r by `sweeps` Jacobi sweeps, or exactly if that is None."""
+        lu = factor(self.own)
+        pivots = [row[i] for i, row in enumerate(lu)]
+        lu = [_materialized(row) for row in lu]
+        sides = (*self.left, *self.right)
+        seen = [j for j in range(len(lu)) if any(row[j] is not None for row in sides)]
+        if not seen:
+            return Solver(lambda r: _materialized(substitute(lu, r)), None, pivots)
+
+        def columns(entries: Entries) -> Entries:
+            """The columns of P or Q, as rows of entries."""
+            parts = [_materialized(substitute(lu, [row[j] for row in entries])) for j in seen]
+            return [list(row) for row in zip(*parts, strict=True)]
+
+        P, Q = columns(self.left), columns(self.right)
+        nothing: Entries = [[None] * len(seen) for _ in lu]
+        all_rows = BlockTridiagonal(nothing, P, Q, self.ends)
+        P, Q = ([rows[i] for i in seen] for rows in (P, Q))
+        seen_rows = BlockTridiagonal(nothing[: len(seen)], P, Q, self.ends)
+        exact = None
+        if sweeps is None:
+            exact = jax.tree.map(operator.neg, seen_rows)._elimination()
+
+        def solve(r: Vector) -> Vector:
+            base = substitute(lu, r)
+            first = s = [base[i] for i in seen]
+            if exact is not None:
+                s = exact(first)
+            for _ in range((sweeps or 1) - 1):
+                s = seen_rows.residual(first, s)
+            return _materialized(base if sweeps == 0 else all_rows.residual(base, s))
+
+        if exact is not None:
+            return Solver(solve, None, pivots)
+        rows = [sum(map(jnp.abs, jax.tree.leaves(row))) for row in zip(P, Q, strict=True)]
+        rho = jnp.max(jnp.stack([jnp.max(jnp.asarray(row)) for row in rows]))
+        return Solver(solve, rho, pivots)
+
+    def _elimination(self) -> Callable[[Vector], Vector]:
+        """Solves (1 - T) s = r, where `own` is zero, from one end to the other.
+
+        A ring is cut at its last cell, whose numbers are solved for last (a bordered system).
+        """
+        q, n = len(self.own), jax.tree.leaves(self)[0].shape[0]
+
+        def stacked(entries: Entries) -> Float[Array, "n q q"]:
+            rows = [[jnp.zeros(n) if part is None else part for part in row] for row in entries]
+            return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+        A, C = stacked(self.left), stacked(self.right)
+        rows = n if self.ends == "free" else n - 1
+        identity = jnp.eye(q)
+
+        def divide(block: Array, right: Array) -> Array:
+            lu = factor([[block[i, j] for j in range(q)] for i in range(q)])
+            return jnp.stack(substitute(lu, list(right)))
+
+        def eliminate(G: Array, blocks: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
+            a, c = blocks
+            D = identity - a @ G
+            G = divide(D, c)
+            return G, (D, G)
+
+        _, (D, G) = lax.scan(eliminate, jnp.zeros((q, q)), (A[:rows], C[:rows]))
+
+        def tridiagonal(r: Float[Array, "rows q k"]) -> Float[Array, "rows q k"]:
+            def forward(z: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+                a, d, r = row
+                z = divide(d, r + a @ z)
+                return z, z
+
+            def backward(s: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
+                g, z = row
+                s = z + g @ s
+                return s, s
+
+            start = jnp.zeros(r.shape[1:])
+            _, z = lax.scan(forward, start, (A[:rows], D, r))
+            # The last row has nothing behind it: what C says there belongs to the border.
+            return lax.scan(backward, start, (G, z), reverse=True)[1]
+
+        if self.ends == "free":
+            return lambda r: list(tridiagonal(jnp.stack(r, axis=-1)[:, :, None])[:, :, 0].T)
+        border = jnp.zeros((rows, q, q)).at[0].add(A[0]).at[-1].add(C[rows - 1])
+        W = tridiagonal(border)
+        last = identity - A[-1] @ W[-1] - C[-1] @ W[0]
+
+        def solve(r: Vector) -> Vector:
+            right = jnp.stack(r, axis=-1)[:, :, None]
+            s = tridiagonal(right[:rows])
+            corner = divide(last, right[-1] + A[-1] @ s[-1] + C[-1] @ s[0])
+            s = s + jax.vmap(lambda w: w @ corner)(W)
+            return list(jnp.concatenate([s, corner[None]])[:, :, 0].T)
+
+        return solve
+
+
+def _minus(total: Any, share: Any, part: Any) -> Any:
+    """total - share part; None is zero."""
+    if share is None or part is None:
+        return total
+    return -share * part if total is None else total - share * part
 
 
 def factor(matrix: Entries) -> Entries:
@@ -52,27 +208,19 @@ def factor(matrix: Entries) -> Entries:
                 continue
             share = lu[i][k] = lu[i][k] * inverse
             for j in range(k + 1, m):
-                if lu[k][j] is not None:
-                    product = share * lu[k][j]
-                    lu[i][j] = -product if lu[i][j] is None else lu[i][j] - product
+                lu[i][j] = _minus(lu[i][j], share, lu[k][j])
     return lu
 
 
 def substitute(lu: Entries, right: Sequence[Any]) -> Vector:
     """D^{-1} right from `factor`."""
     m, x = len(lu), list(right)
-
-    def minus(total: Any, share: Any, part: Any) -> Any:
-        if share is None or part is None:
-            return total
-        return -share * part if total is None else total - share * part
-
     for i in range(m):
         for j in range(i):
-            x[i] = minus(x[i], lu[i][j], x[j])
+            x[i] = _minus(x[i], lu[i][j], x[j])
     for i in reversed(range(m)):
         for j in range(i + 1, m):
-            x[i] = minus(x[i], lu[i][j], x[j])
+            x[i] = _minus(x[i], lu[i][j], x[j])
         x[i] = None if x[i] is None else x[i] / lu[i][i]
     return x
 
@@ -81,169 +229,63 @@ def _materialized(parts: Sequence[Any]) -> Vector:
     return [None if part is None else materialize(part) for part in parts]
 
 
-def cell_solver(
-    lu: Entries, left: Entries, right: Entries, ends: str, sweeps: int | None
-) -> tuple[Callable[[Vector], Vector], Float[Array, ""] | None]:
-    """(solve, rho): `solve(r)` is b, by `sweeps` Jacobi sweeps, or exactly if that is None.
+def spring_matrix(springs: Springs, n: int) -> BlockTridiagonal:
+    """C, with one number a mass; K = diag(k) - C is its `shift(k)`."""
+    lower, upper = springs.off_diagonals(n)
+    return BlockTridiagonal([[None]], [[lower]], [[upper]], springs.ends)
 
-    Sweeps contract by rho in the maximum norm of the seen numbers, so that they leave at most
-    rho^(sweeps+1) / (1 - rho) of these; None where nothing is left.
+
+def spring_solver(
+    diagonal: Float[Array, " n"],
+    springs: Springs | None,
+    scale: ScalarLike | PerMass,
+    sweeps: int | None,
+    flat: bool = True,
+) -> Solver:
+    """Solves (diag(diagonal) - scale C) b = r; `solve(r)` is (b, C b).
+
+    As `BlockTridiagonal.solver`, by the products of `springs`, which cost less; a stage needs
+    these, too.  Swept, C b lags one sweep behind.  Sweeps contract by
+
+        rho = max_n scale (|c_{n-1/2}| + |c_{n+1/2}|) / |diagonal_n|.
     """
-    m, lu = len(lu), [_materialized(row) for row in lu]
-    seen = [j for j in range(m) if any(left[i][j] is not None or right[i][j] is not None
-                                       for i in range(m))]  # fmt: skip
-    if not seen:
-        return lambda r: _materialized(substitute(lu, r)), None
-    # Columns of P and Q, one for each seen number.
-    before, after = (
-        [_materialized(substitute(lu, [entries[i][j] for i in range(m)])) for j in seen]
-        for entries in (left, right)
-    )
-
-    def spread(base: Vector, s: Vector, rows: Sequence[int]) -> Vector:
-        """base + P s_{n-1} + Q s_{n+1}, of these rows."""
-        out = [base[i] for i in rows]
-        for k, part in enumerate(s):
-            for columns, moved in zip((before, after), neighbours(part, ends), strict=True):
-                for place, i in enumerate(rows):
-                    if columns[k][i] is not None:
-                        out[place] = out[place] + columns[k][i] * moved
-        return out
-
+    if springs is None:
+        inverse = materialize(1.0 / diagonal)
+        return Solver(lambda r: (materialize(inverse * r, flat), None), None, [diagonal])
     if sweeps is None:
-        exact = neighbour_solver(
-            [[column[i] for column in before] for i in seen],
-            [[column[i] for column in after] for i in seen],
-            ends,
-        )
+        exact = exact_solver(diagonal, springs, scale)
 
-        def solve(r: Vector) -> Vector:
-            base = substitute(lu, r)
-            s = exact([base[i] for i in seen])
-            return _materialized(spread(base, s, range(m)))
+        def solve(r: Array) -> tuple[Array, Array]:
+            b = exact(r)
+            return b, springs.product(b)
 
-        return solve, None
-
-    def swept(r: Vector) -> Vector:
-        base = substitute(lu, r)
-        if sweeps:
-            s = [base[i] for i in seen]
-            for _ in range(sweeps - 1):
-                s = spread(base, s, seen)
-            base = spread(base, s, range(m))
-        return _materialized(base)
-
-    rows = [
-        sum(jnp.abs(column[i]) for column in (*before, *after) if column[i] is not None)
-        for i in seen
-    ]
-    rho = jnp.max(jnp.stack([jnp.max(jnp.asarray(row)) for row in rows]))
-    return swept, rho
-
-
-def neighbour_solver(before: Entries, after: Entries, ends: str) -> Callable[[Vector], Vector]:
-    """Solves s_n - A_n s_{n-1} - C_n s_{n+1} = r_n by block elimination from one end to the other.
-
-    A ring is cut at its last cell, whose numbers are solved for last (a bordered system).
-    """
-    q = len(before)
-    like = next(part for row in (*before, *after) for part in row if part is not None)
-    n = like.shape[0]
-
-    def stacked(entries: Entries) -> Float[Array, "n q q"]:
-        rows = [[jnp.zeros(n) if part is None else part for part in row] for row in entries]
-        return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
-
-    A, C = stacked(before), stacked(after)
-    rows = n if ends == "free" else n - 1
-    identity = jnp.eye(q)
-
-    def divide(block: Array, right: Array) -> Array:
-        lu = factor([[block[i, j] for j in range(q)] for i in range(q)])
-        return jnp.stack(substitute(lu, list(right)))
-
-    def eliminate(G: Array, blocks: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
-        a, c = blocks
-        D = identity - a @ G
-        G = divide(D, c)
-        return G, (D, G)
-
-    _, (D, G) = lax.scan(eliminate, jnp.zeros((q, q)), (A[:rows], C[:rows]))
-
-    def tridiagonal(r: Float[Array, "rows q k"]) -> Float[Array, "rows q k"]:
-        def forward(z: Array, row: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-            a, d, r = row
-            z = divide(d, r + a @ z)
-            return z, z
-
-        def backward(s: Array, row: tuple[Array, Array]) -> tuple[Array, Array]:
-            g, z = row
-            s = z + g @ s
-            return s, s
-
-        start = jnp.zeros(r.shape[1:])
-        _, z = lax.scan(forward, start, (A[:rows], D, r))
-        # The last row has nothing behind it: what C says there belongs to the border.
-        return lax.scan(backward, start, (G, z), reverse=True)[1]
-
-    if ends == "free":
-        return lambda r: list(tridiagonal(jnp.stack(r, axis=-1)[:, :, None])[:, :, 0].T)
-    border = jnp.zeros((rows, q, q)).at[0].add(A[0]).at[-1].add(C[rows - 1])
-    W = tridiagonal(border)
-    last = identity - A[-1] @ W[-1] - C[-1] @ W[0]
-
-    def solve(r: Vector) -> Vector:
-        right = jnp.stack(r, axis=-1)[:, :, None]
-        s = tridiagonal(right[:rows])
-        corner = divide(last, right[-1] + A[-1] @ s[-1] + C[-1] @ s[0])
-        s = s + jax.vmap(lambda w: w @ corner)(W)
-        return list(jnp.concatenate([s, corner[None]])[:, :, 0].T)
-
-    return solve
-
-
-def contraction(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike | PerMass
-) -> Float[Array, ""]:
-    """rho = max_n scale (|c_{n-1/2}| + |c_{n+1/2}|) / |diagonal_n|.
-
-    The Jacobi iteration for diag(diagonal) - scale C contracts by rho in the maximum norm, so m
-    sweeps from b_0 = rhs / diagonal leave at most rho^(m+1) / (1 - rho) max|b_0|.
-    """
-    return jnp.max(jnp.abs(scale / diagonal) * springs.strength(diagonal.shape[0]))
-
-
-def swept_solver(
-    diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike | PerMass, sweeps: int
-) -> Callable[[Float[Array, " n"]], tuple[Float[Array, " n"], Float[Array, " n"]]]:
-    """Solves (diag(diagonal) - scale C) b = rhs by `sweeps` Jacobi sweeps (see `contraction`).
-
-    The solver returns b and the product C b of the last sweep, which lags one sweep behind.
-    """
+        return Solver(solve, None, [diagonal])
+    rho = jnp.max(jnp.abs(scale / diagonal) * springs.strength(diagonal.shape[0]))
     inverse = materialize(1.0 / diagonal)
     weight = spread(scale * inverse, inverse)
 
-    def solve(rhs: Float[Array, " n"]) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        start = b = flatten(inverse * rhs)
+    def swept(r: Array) -> tuple[Array, Array]:
+        start = b = flatten(inverse * r)
         product = jnp.zeros_like(b)
         for _ in range(sweeps):
             product = spread(springs.product(b), b)
             b = start + weight * product
         return materialize(b, flat=True), materialize(product, flat=True)
 
-    return solve
+    return Solver(swept, rho, [diagonal])
 
 
 def exact_solver(
     diagonal: Float[Array, " n"], springs: Springs, scale: ScalarLike | PerMass
 ) -> Callable[[Float[Array, " n"]], Float[Array, " n"]]:
-    """Solves (diag(diagonal) - scale C) b = rhs in O(N), by elimination from one end to the other.
+    """Solves (diag(diagonal) - scale C) b = r in O(N), by elimination from one end to the other.
 
     The diagonal must dominate for the strength of the springs not to matter.
     """
     lower, upper = (scale * part for part in springs.off_diagonals(diagonal.shape[0]))
     if diagonal.shape[0] == 1:
-        return lambda rhs: rhs / (diagonal - lower - upper)
+        return lambda r: r / (diagonal - lower - upper)
     inverse = 1.0 / diagonal
-    solve = neighbour_solver([[inverse * lower]], [[inverse * upper]], springs.ends)
-    return lambda rhs: solve([inverse * rhs])[0]
+    sides = [[inverse * lower]], [[inverse * upper]]
+    solve = BlockTridiagonal([[None]], *sides, springs.ends)._elimination()
+    return lambda r: solve([inverse * r])[0]

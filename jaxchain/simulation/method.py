@@ -24,7 +24,6 @@ from .._printing import PrintedAsCall
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells, AbstractField
 from ..model.oscillators import AbstractOscillators
-from ..model.tridiagonal import cell_solver, factor, shifted
 from ..observers.base import AbstractObserver
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
 from .event_driven import EventDriven
@@ -248,9 +247,7 @@ def fit_linear_solve(
 @eqx.filter_jit
 def _contraction(cells: AbstractCells, state: State, step: float) -> Array:
     """By which a sweep contracts at a state, for a step of this length; 0 without neighbours."""
-    here = cells.linearised(0.0, state)
-    lu = factor(shifted(here.own, 1.0 / step))
-    _, rho = cell_solver(lu, here.left, here.right, cells.ends, 1)
+    rho = cells.linearised(0.0, state).jacobian.shift(1.0 / step).solver(1).contraction
     return jnp.zeros(()) if rho is None else rho
 
 

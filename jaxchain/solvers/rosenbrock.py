@@ -29,20 +29,13 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive_number, check_whole, numbers_of, shown
-from .._computed_once import materialize, spread
+from .._computed_once import spread
 from .._final import final, refuse_overrides
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells
 from ..model.chain import Chain, spread_numbers
 from ..model.oscillators import AbstractOscillators
-from ..model.tridiagonal import (
-    cell_solver,
-    contraction,
-    exact_solver,
-    factor,
-    shifted,
-    swept_solver,
-)
+from ..model.tridiagonal import Solver, spring_solver
 
 
 @final
@@ -470,8 +463,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         stiffness = spread(field.stiffness_diagonal(n), x)
         held = stiffness if h_x is None else stiffness - h_x
         diagonal = per_h / tab.gamma - slopes.velocity + hg * held
-        solve, truncation = self._linear_solver(field, diagonal, hg)
         springs = field.springs
+        solver = spring_solver(diagonal, springs, hg, self.sweeps, flat=known)
         pulls = None if springs is None else [spread(springs.product(p), x) for p in y0]
 
         def stage(row: _Row, before: list) -> tuple[Array, Array | None]:
@@ -494,28 +487,18 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
                 rhs = rhs + pulls[0] + hs * products
             if h_t is not None:
                 rhs = rhs + (row.d * hs) * h_t
-            return solve(rhs)
+            return solver.solve(rhs)
 
         like = v, None if springs is None else v
         b = [one for one, _ in _stages(tab, stage, like, rolled)]
         velocity = v + _combine(tab.a[-1], b[:-1])
         y1 = (x + hs * (tab.end_v * v + _combine(tab.end_b, b)), velocity + b[-1])
         error = (hs * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
-        result = dfx.RESULTS.successful
-        trusted = None
-        if truncation is not None:
-            trusted = truncation <= MOST_TRUNCATION
-            truncated = truncation * sum(jnp.abs(u) for u in b)
-            error = (error[0], jnp.abs(error[1]) + truncated)
+        checks = []
         if jax.eval_shape(field.growth_time) is None:  # computes nothing
-            slow = _growth(field, h, held, slopes.velocity) <= _MOST_GROWTH
-            trusted = slow if trusted is None else trusted & slow
-        if trusted is not None:
-            error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
-            untrusted: Any = dfx.RESULTS.nonlinear_divergence
-            result = dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
-        dense = {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}
-        return y1, error, dense, None, result
+            checks.append(_growth(field, h, held, slopes.velocity) <= _MOST_GROWTH)
+        error, result = self._judged(solver, error, [[], b], checks)
+        return y1, error, {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}, None, result
 
     def _step_of_cells(
         self, field: AbstractCells, t: Array, h: Array, y0: State, rolled: bool
@@ -524,8 +507,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         tab, m = self.tableau, len(y0)
         per_h = _inverse(h)
         here = field.linearised(t, y0)
-        lu = factor(shifted(here.own, per_h / tab.gamma))
-        solve, rho = cell_solver(lu, here.left, here.right, field.ends, self.sweeps)
+        solver = here.jacobian.shift(per_h / tab.gamma).solver(self.sweeps)
 
         def moved(row: _Row, before: list) -> State:
             return tuple(y0[k] + _combine(row.a, [stage[k] for stage in before]) for k in range(m))
@@ -539,54 +521,41 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
                 part if slope is None else part + (row.d * h) * slope
                 for part, slope in zip(right, here.time, strict=True)
             ]
-            return solve(right)
+            return solver.solve(right)
 
         stages = _stages(tab, stage, list(y0), rolled)
         place = moved(tab._row(len(tab.c) - 1), stages[:-1])
         y1 = tuple(place[k] + stages[-1][k] for k in range(m))
         # A pivot of another sign than h: something grows by more than e^(1/gamma) in the step.
-        trusted = jnp.stack([lu[k][k] * h for k in range(m)]) > 0
-        error = tuple(stages[-1])
-        if rho is not None:
-            truncation = self._truncation(rho)
-            trusted = trusted & (truncation <= MOST_TRUNCATION)
-            error = tuple(
-                jnp.abs(error[k]) + truncation * sum(jnp.abs(stage[k]) for stage in stages)
-                for k in range(m)
-            )
-        trusted = jnp.all(trusted)
-        error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
-        untrusted: Any = dfx.RESULTS.nonlinear_divergence
-        result = dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
+        checks = [jnp.all(jnp.stack([pivot * h for pivot in solver.pivots]) > 0)]
+        error, result = self._judged(
+            solver, tuple(stages[-1]), list(zip(*stages, strict=True)), checks
+        )
         return y1, error, {"y0": y0, "y1": y1, "h": h, "b": tuple(stages)}, None, result
 
-    def _linear_solver(
-        self, field: AbstractOscillators, diagonal: Array, hg: Array
-    ) -> tuple[Callable[[Array], tuple[Array, Array | None]], Array | None]:
-        """(solve, truncation): `truncation` is None where nothing was truncated.
+    def _judged(
+        self, solver: Solver, error: State, stages: Sequence[_Arrays], checks: list[Array]
+    ) -> tuple[State, dfx.RESULTS]:
+        """(error, result) of a step, failed unless all `checks` hold and sweeps leave out little.
 
-        `solve` returns b and C b; the truncation bounds the relative error of a step by both: that
-        of b, and that of later stages, which take over C b from the sweep before the last one.
+        `stages`: for each component its part of every stage, none where it is not solved for. What
+        sweeps leave out is relative to these; it counts the error of b, and of later stages, which
+        take over C b from the sweep before the last one.
         """
-        springs = field.springs
-        if springs is None:
-            inverse, flat = materialize(1.0 / diagonal), isinstance(field, Chain)
-            return (lambda rhs: (materialize(inverse * rhs, flat), None)), None
-        if self.sweeps is None:
-            exact = exact_solver(diagonal, springs, hg)
-
-            def solve(rhs: Array) -> tuple[Array, Array]:
-                b = exact(rhs)
-                return b, springs.product(b)
-
-            return solve, None
-        rho = contraction(diagonal, springs, hg)
-        return swept_solver(diagonal, springs, hg, self.sweeps), self._truncation(rho)
-
-    def _truncation(self, rho: Array) -> Array:
-        """What Jacobi sweeps that contract by rho leave out of a step, relative to its stages."""
-        sweeps = self.sweeps or 0
-        return self.tableau.lag * rho ** (sweeps + 1) / jnp.maximum(1.0 - rho, 1e-3)
+        if (rho := solver.contraction) is not None:
+            sweeps = self.sweeps or 0
+            truncation = self.tableau.lag * rho ** (sweeps + 1) / jnp.maximum(1.0 - rho, 1e-3)
+            checks = [truncation <= MOST_TRUNCATION, *checks]
+            error = tuple(
+                jnp.abs(e) + truncation * sum(map(jnp.abs, parts)) if parts else e
+                for e, parts in zip(error, stages, strict=True)
+            )
+        if not checks:
+            return error, dfx.RESULTS.successful
+        trusted = ft.reduce(op.and_, checks)
+        error = jtu.tree_map(lambda e: jnp.where(trusted, e, jnp.inf), error)
+        untrusted: Any = dfx.RESULTS.nonlinear_divergence
+        return error, dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
 
 
 @final

@@ -25,7 +25,7 @@ from jaxchain import (
 )
 from jaxchain.cycles.limit_cycle import resolve_guess
 from jaxchain.model import AbstractCells
-from jaxchain.model.tridiagonal import cell_solver, factor
+from jaxchain.model.tridiagonal import BlockTridiagonal
 from jaxchain.observers import Divergence, Samples, StickTime
 
 
@@ -122,18 +122,13 @@ def test_a_step_with_its_stages_in_a_loop_is_the_same(solver):
 @pytest.mark.parametrize("n", [1, 2, 3, pytest.param(5, marks=pytest.mark.long)])
 def test_the_blocks_are_the_jacobian(n, ends):
     cells, y = pairs(ends), state(n)
-    here = cells.linearised(0.3, y)
-    dense = np.zeros((4, n, 4, n))
-    for part, offset in ((here.left, -1), (here.own, 0), (here.right, 1)):
-        for i in range(4):
-            for j in range(4):
-                if part[i][j] is not None:
-                    for k in range(n):
-                        dense[i, k, j, (k + offset) % n] += part[i][j][k]
-    np.testing.assert_allclose(dense.reshape(4 * n, -1), cells.jacobian(0.3, y), atol=1e-13)
-    assert float(cells.divergence(0.3, y)) == pytest.approx(
-        float(jnp.trace(cells.jacobian(0.3, y)))
-    )
+
+    def rate(flat):
+        return jnp.concatenate(cells(0.3, tuple(flat.reshape(4, n))))
+
+    wanted = jax.jacfwd(rate)(jnp.concatenate(y))
+    np.testing.assert_allclose(cells.jacobian(0.3, y), wanted, atol=1e-13)
+    assert float(cells.divergence(0.3, y)) == pytest.approx(float(jnp.trace(wanted)))
     # Only x and its velocity are seen by neighbours, and only vx depends on time.
     of = cells.dependence(y)
     assert of.time == (False, False, True, False)
@@ -156,22 +151,25 @@ def test_a_block_tridiagonal_system_is_solved(n, ends, sweeps):
     for i in range(m):
         D[i][i] = D[i][i] + 6.0
     sides = [entries(1.0, [[0, 0, 0], [1, 0, 1], [1, 0, 0]]) for _ in range(2)]
-    if ends == "free":
-        for side, end in zip(sides, (0, -1), strict=True):
-            side[:] = [[e if e is None else e.at[end].set(0.0) for e in row] for row in side]
-    dense = np.zeros((n, m, n, m))
-    for part, offset, sign in ((D, 0, 1.0), (sides[0], -1, -1.0), (sides[1], 1, -1.0)):
-        for k in range(n):
-            for i in range(m):
-                for j in range(m):
-                    if part[i][j] is not None:
-                        dense[k, i, (k + offset) % n, j] += sign * part[i][j][k]
-    right = rng.normal(size=(m, n))
-    wanted = np.linalg.solve(dense.reshape(m * n, -1), right.T.ravel()).reshape(n, m).T
-    lu = factor(D)
-    solve, rho = cell_solver(lu, sides[0], sides[1], ends, sweeps)
+    dense = np.zeros((m, n, m, n))
+    for part, offset in ((D, 0), (sides[0], -1), (sides[1], 1)):
+        for k, i, j in np.ndindex(n, m, m):
+            if part[i][j] is not None and (ends == "cyclic" or 0 <= k + offset < n):
+                dense[i, k, j, (k + offset) % n] += part[i][j][k]
+    dense, right = dense.reshape(m * n, -1), rng.normal(size=(m, n))
+    matrix = BlockTridiagonal(D, *sides, ends)
+    np.testing.assert_array_equal(matrix.to_dense(n), dense)
+    np.testing.assert_allclose(matrix.shift(2.0).to_dense(n), 2.0 * np.eye(m * n) - dense)
+    product = jnp.concatenate(matrix @ list(jnp.asarray(right)))
+    np.testing.assert_allclose(product, dense @ right.ravel(), atol=1e-13)
+    solve, rho, pivots = matrix.solver(sweeps)
     assert rho is None or float(rho) < 1.0
-    np.testing.assert_allclose(jnp.stack(solve(list(jnp.asarray(right)))), wanted, atol=1e-12)
+    # LU of one block without pivoting: the pivots are the ratios of its leading minors.
+    minors = [np.linalg.det(dense.reshape(m, n, m, n)[:k, 0, :k, 0]) for k in range(m + 1)]
+    np.testing.assert_allclose([p[0] for p in pivots], np.divide(minors[1:], minors[:-1]))
+    wanted = np.linalg.solve(dense, right.ravel())
+    found = jnp.concatenate(solve(list(jnp.asarray(right))))
+    np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,14 @@
 """Springs, neighbours and the tridiagonal solves, against dense linear algebra."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxchain.model.springs import Springs, neighbour_sum, neighbours
-from jaxchain.model.tridiagonal import contraction, exact_solver, swept_solver
+from jaxchain.model.tridiagonal import exact_solver, spring_solver
 
 
 def dense_stiffness(n, constants, ends):
@@ -82,9 +84,11 @@ def test_sweeps_keep_their_bound_on_both_sides(scale, sweeps):
     springs, _ = make_springs("each its own", 20, "cyclic")
     diagonal, matrix, rhs = system(springs, 20, scale)
     exact = np.linalg.solve(matrix, np.asarray(rhs))
-    b, product = swept_solver(diagonal, springs, scale, sweeps)(rhs)
+    solver = spring_solver(diagonal, springs, scale, sweeps)
+    b, product = solver.solve(rhs)
     error = np.max(np.abs(b - exact))
-    rho = float(contraction(diagonal, springs, scale))
+    rho: Any = solver.contraction
+    rho = float(rho)
     start = np.max(np.abs(rhs / diagonal))
     assert error <= rho ** (sweeps + 1) / (1 - rho) * start + 1e-15
     # The bound is not idle: the error is of its order of magnitude.
