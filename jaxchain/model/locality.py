@@ -43,6 +43,9 @@ FINAL = {
     "layer": "it follows from `switching`; leave it out.",
     "ends": "they are those of `springs`; leave it out.",
     "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
+    "equilibrium": "it is known of a `Chain` only; leave it out.",
+    "balanced": "it follows from the forces; leave it out.",
+    "can_be_cycle": "bounds of cycles are known of a `Chain` only; leave it out.",
     "with_": "it changes the fields by their names; make each number a field.",
     "numbers": "they are the fields that are arrays; make each number a field.",
 }
@@ -61,6 +64,9 @@ CELLS_FINAL = {
     "layer": "it follows from `switching` and `contact`; leave it out.",
     "stick_speed": "masses that stick are those of a `Chain`; leave it out.",
     "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
+    "equilibrium": "it is known of a `Chain` only; leave it out.",
+    "balanced": "it follows from the forces; leave it out.",
+    "can_be_cycle": "bounds of cycles are known of a `Chain` only; leave it out.",
     "with_": "it changes the fields by their names; make each number a field.",
     "numbers": "they are the fields that are arrays; make each number a field.",
 }

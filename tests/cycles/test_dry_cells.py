@@ -260,10 +260,11 @@ def test_a_ring_has_the_cycle_of_a_chain_and_the_derivative_of_differences():
     )
 
 
-def test_smoothed_cells_know_how_near_the_belts_speed_they_come(one):
+def test_smoothed_cells_know_how_near_the_belts_speed_they_come():
     chain, cells = paper_chain(1, belt_speed=1.2, width=1e-2), ONE.with_(width=1e-2)
     expected = find_limit_cycle(chain).scaled_peak_velocity
-    found = find_limit_cycle(cells, one).scaled_peak_velocity
+    start = jnp.array([0.5]), jnp.array([1.2])
+    found = find_limit_cycle(cells, start).scaled_peak_velocity
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
