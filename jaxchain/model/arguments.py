@@ -16,8 +16,10 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._spelling import did_you_mean
 from .cells import AbstractCells, AbstractField
 from .chain import MAKE_CHAIN, Chain
+from .entries import array_of
 from .locality import check_cells, check_local
 from .oscillators import AbstractOscillators
 
@@ -97,6 +99,27 @@ def _as_state_of_cells(
         cells.dependence(parts)  # raises unless there is a rate for each number
         check_cells(cells, t0, parts)
     return parts
+
+
+def as_parameter(model: AbstractField, name: Any, title: str = "parameter") -> Float[Array, ""]:
+    """The value of the parameter of this name, one number, or `ValueError`.
+
+    An entry of an array is one, too: "stiffness[0, 1]".
+    """
+    if array_of(name) is not None:
+        return model.value_of(name)
+    numbers = model.numbers()
+    known = sorted(k for k, value in numbers.items() if np.shape(value) == ())
+    if not isinstance(name, str) or name not in known:
+        shape = np.shape(numbers.get(name)) if isinstance(name, str) else ()
+        entry = ", ".join(["0"] * len(shape))
+        raise ValueError(
+            f"Argument `{title}` must be one of {known}, the numbers of the model that are the "
+            f"same for all cells, or an entry of an array, but is {shown(name)}"
+            + (f": name one of its entries, `{name}[{entry}]`." if shape else "")
+            + ("" if shape else f"{did_you_mean(name, known)}.")
+        )
+    return model.value_of(name)
 
 
 def as_mass(n: int, mass: Any, default: Any = None, name: str = "mass") -> Any:

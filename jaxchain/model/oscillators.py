@@ -10,6 +10,8 @@ one (cyclic) tridiagonal system per stage, which `model/tridiagonal.py` solves.
 """
 
 import abc
+import operator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -187,8 +189,8 @@ class AbstractOscillators(AbstractField):
 
         return jax.jacfwd(rate)(jnp.concatenate(y))
 
-    def _place(self, name: str) -> str:
-        return "springs.constant" if name == "coupling" else name
+    def _place(self, name: str) -> Callable[[Any], Any]:
+        return operator.attrgetter("springs.constant" if name == "coupling" else name)
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields by name, and the springs' constant as `coupling`."""

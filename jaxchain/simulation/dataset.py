@@ -14,6 +14,7 @@ import jax.tree_util as jtu
 import numpy as np
 
 from ..model.chain import Chain
+from ..model.entries import array_of
 from ..model.oscillators import AbstractOscillators
 from ..model.parameters import CHAIN, Parameter, parameter
 from ..model.provenance import circumstances, parameters_of
@@ -117,7 +118,7 @@ def to_dataset(
     numbers = chain.numbers().keys()
     if isinstance(chain, Chain):
         numbers |= CHAIN.keys()
-    for name in columns_of(axes).keys() & numbers:
+    for name in [name for name in columns_of(axes) if (array_of(name) or name) in numbers]:
         row = parameter(name) if isinstance(chain, Chain) else Parameter(name, name)
         attrs_of[name] |= row.attrs
     attrs_of["result"] |= {

@@ -23,9 +23,10 @@ from .._limits import MOST_LANES
 from .._spelling import did_you_mean
 from ..model.cells import AbstractField
 from ..model.chain import Chain, chain_number, require_smoothed
+from ..model.entries import array_of
 from ..model.parameters import CHAIN
 from ..simulation.dataset import Axes, columns_of, sizes
-from .lanes import chain_names, initial_names
+from .lanes import chain_names, initial_names, is_number
 
 # The number of a block along each dimension.
 Key: TypeAlias = tuple[int, ...]
@@ -63,15 +64,18 @@ def check_axes(
         for name in columns:
             if name == "width" and name not in of_functions:
                 require_smoothed(chain, "to sweep `width` ")
-            if name not in [*numbers, *of_functions]:
+            number = is_number(chain, name)
+            if number and array_of(name) is not None:
+                chain.value_of(name)  # raises unless there is such an entry
+            if not number and name not in of_functions:
                 known = sorted({*numbers, *of_functions})
                 raise ValueError(
                     f"Argument `over` names {name!r}, which is neither a number of the chain nor "
                     f"a parameter of `initial` or `vary`{did_you_mean(name, known)}; allowed are "
                     f"{known}."
                 )
-            _check_column(dim, name, columns, name not in numbers)
-            if name in numbers:
+            _check_column(dim, name, columns, not number)
+            if number:
                 columns[name] = columns[name].astype(float)
         if not columns or (dim in names and dim not in columns):
             raise ValueError(
@@ -95,7 +99,8 @@ def check_axes(
     for name, values in columns_of(axes).items():
         if name in own:
             chain_number(name, values)  # raises for impossible numbers
-    for row in extremes(axes, [name for name in numbers if name not in own]):
+    others = [name for name in names if is_number(chain, name) and name not in own]
+    for row in extremes(axes, others):
         chain.with_(**row)  # also for those of a law that contradict each other
     return axes
 

@@ -45,6 +45,7 @@ from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.cells import AbstractCells, AbstractField
 from ..model.chain import Chain, require_smoothed
+from ..model.entries import array_of
 from ..model.parameters import parameter
 from ..model.provenance import versions
 from ..observers.amplitude import Amplitude
@@ -71,9 +72,9 @@ from .lanes import (
     RunStarts,
     Shapes,
     SweepTask,
-    chain_names,
     chain_of_run,
     initial_names,
+    is_number,
     known_again,
     lane_and_record,
     start_of,
@@ -270,8 +271,9 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     check_count("max_steps", settings.max_steps)
     if solver is None:
         strongest, state = chain, None
-        if "coupling" in columns:  # decides the linear solve
-            strongest = chain.with_(coupling=float(np.max(columns["coupling"])))
+        for name in columns:  # the strongest coupling decides the linear solve
+            if "coupling" in (name, array_of(name)):
+                strongest = strongest.with_(**{name: float(np.max(columns[name]))})
         if isinstance(chain, AbstractCells):
             first = {name: jnp.asarray(values[0]) for name, values in columns.items()}
             state = RunStarts(strongest, initial, vary, n).of(first).state
@@ -291,8 +293,9 @@ def _numerics(
     accuracy: float,
 ) -> tuple[np.ndarray, float]:
     """The width of every job, and one rtol for all."""
-    names = [*chain_names(chain), *([] if vary is None else initial_names(vary))]
-    columns = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
+    names = [] if vary is None else initial_names(vary)
+    kept = {name: v for name, v in jobs.items() if name in names or is_number(chain, name)}
+    columns = {name: jnp.asarray(v) for name, v in kept.items()}
 
     def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
         chosen = choose_numerics(chain_of_run(chain, vary, values), accuracy)

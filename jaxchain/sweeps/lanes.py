@@ -23,6 +23,7 @@ from jaxtyping import Array, Bool, Int
 from .._types import State
 from ..model.cells import AbstractField
 from ..model.chain import Chain
+from ..model.entries import array_of
 from ..model.parameters import CHAIN
 from ..observers.base import Variable
 from ..result import Result, code
@@ -42,6 +43,11 @@ def chain_names(chain: AbstractField) -> list[str]:
     return [*names, *chain.friction.numbers()]
 
 
+def is_number(chain: AbstractField, name: Any) -> bool:
+    """Whether this is the name of a number that may differ between lanes, or of an entry."""
+    return (array_of(name) or name) in chain_names(chain)
+
+
 def initial_names(initial: Callable) -> list[str]:
     """The parameters of `initial` or `vary` besides the chain."""
     return list(inspect.signature(initial).parameters)[1:]
@@ -49,7 +55,7 @@ def initial_names(initial: Callable) -> list[str]:
 
 def with_numbers(chain: Any, values: Mapping[str, Any]) -> Any:
     """The chain with those of the `values` that are its numbers."""
-    numbers = {k: v for k, v in values.items() if k in chain_names(chain)}
+    numbers = {k: v for k, v in values.items() if is_number(chain, k)}
     return chain.with_(**numbers) if numbers else chain
 
 
@@ -141,7 +147,7 @@ class RunStarts(eqx.Module):
 
     def of(self, values: Mapping[str, Any]) -> RunStart:
         """The start of the job with these values."""
-        numbers = {k: v for k, v in values.items() if k in chain_names(self.chain)}
+        numbers = {k: v for k, v in values.items() if is_number(self.chain, k)}
         given = chain = with_numbers(self.chain, numbers)
         new = []
         if self.vary is not None:
