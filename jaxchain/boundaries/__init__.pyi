@@ -24,6 +24,8 @@ from .hopf_scan import hopf_points as hopf_points
 from .limit import Extrapolation as Extrapolation
 from .limit import extrapolate as extrapolate
 from .limit import extrapolated_fold as extrapolated_fold
+from .modes import ComplexModes as ComplexModes
+from .modes import complex_modes as complex_modes
 from .ranges import StabilityRange as StabilityRange
 from .ranges import stability_range as stability_range
 from .ranges import try_boundary as try_boundary

@@ -32,13 +32,12 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._spelling import did_you_mean
 from .._types import State
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import Branch, Labels, joined
 from ..continuation.damped_newton import check_tolerance, search
 from ..continuation.implicit import attach_derivative, if_found
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_chain, as_parameter, as_state
 from ..model.cells import AbstractField
 from ..model.locality import check_autonomous
 from ..result import Outcome, SearchResult, is_one
@@ -276,11 +275,16 @@ def find_equilibrium(
     return found
 
 
+def near_equilibrium(model: AbstractField, guess: Any) -> State:
+    """The guess; for None the closed form of the model, or zeros."""
+    if guess is None:
+        guess = model.equilibrium() or (jnp.zeros(model.n or 1),) * len(model.variables)
+    return as_state(model, guess, "guess")
+
+
 def _checked(chain: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[State, int]:
     as_chain(chain, AbstractField)
-    if guess is None:
-        guess = chain.equilibrium() or (jnp.zeros(chain.n or 1),) * len(chain.variables)
-    state = as_state(chain, guess, "guess")
+    state = near_equilibrium(chain, guess)
     check_autonomous(chain, state)
     if chain.dry:  # beyond the speed of the belt a law need not be defined
         half = len(state) // 2
@@ -342,6 +346,24 @@ def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Eq
     )
 
 
+def equilibria_over(
+    rates: Rates, start: Array, values: Array, tolerance: Array, limit: Array
+) -> Any:
+    """The equilibria at successive values of the parameter, each from the last one found.
+
+    The `Root` of a search for each; `start` is the guess at the first value.
+    """
+    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
+
+    def follow(u: Array, p: Array) -> tuple[Array, Any]:
+        field = rates.at(None if rates.parameter is None else p)
+        at_p = Rates(field, rates.m, None, rates.direction)
+        root = search(_residual, u, at_p, tolerance, limit, weights)
+        return jnp.where(root.successful, root.value, u), root
+
+    return lax.scan(follow, start, values)[1]
+
+
 class HopfSystem(eqx.Module):
     """f(y, p) = 0 and lambda(y, p) = i omega, in u = (y, omega, p).
 
@@ -379,6 +401,7 @@ def find_hopf_point(
     parameter: str,
     guess: Any = None,
     *,
+    bounds: tuple[Any, Any] | None = None,
     frequency: Any = None,
     tolerance: Any = 1e-12,
     max_steps: Any = 50,
@@ -392,9 +415,13 @@ def find_hopf_point(
     sliding; masses that stick, on a belt that stands still, have none.  To find all Hopf points in
     a range, see `continue_equilibrium`.
 
+    With `bounds` the present value may be anywhere in this range: the equilibrium is followed to
+    both ends in 64 steps each, and the Hopf point is the nearest one at which the greatest growth
+    rate of an oscillation changes its sign, such as the onset of flutter.
+
     **Arguments:** `chain`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
     `parameter`: the name of a number that `chain.with_` takes, one for all cells; `frequency`:
-    choose the pair whose frequency is closest to this instead.
+    choose the pair whose frequency is closest to this instead; `bounds`: (low, high), finite.
 
     **Returns:** a `HopfPoint`.  `value`, `state` and `frequency` have derivatives in all other
     numbers of the model.  It works under `jit` and `vmap`; there `throw` has no effect.
@@ -416,54 +443,124 @@ def find_hopf_point(
     """
     state, limit = _checked(chain, guess, tolerance, max_steps)
     check_flag("throw", throw)
-    _check_parameter(chain, parameter)
+    as_parameter(chain, parameter)
     _check_sliding(chain)
     if frequency is not None:
         check_number("frequency", frequency, "it chooses one of several pairs of eigenvalues.")
-    found = _hopf_point(
-        chain, parameter, state, None if frequency is None else to_float(frequency),
-        to_float(tolerance), jnp.asarray(limit),
+    if bounds is not None:
+        bounds = _range_around(chain, parameter, bounds)
+    found, growth = _hopf_point(
+        chain, parameter, state, None if bounds is None else jnp.asarray(bounds),
+        None if frequency is None else to_float(frequency), to_float(tolerance),
+        jnp.asarray(limit),
     )  # fmt: skip
     if throw and not is_traced(found.successful) and not found.successful:
+        where, remedy = "near `guess`", "Start closer, or give `bounds`, the range to search."
+        if bounds is not None:
+            where = f"between {bounds[0]:.6g} and {bounds[1]:.6g}"
+            remedy = "The greatest growth rate of an oscillation there is "
+            remedy += f"{float(growth[0]):.3g} to {float(growth[1]):.3g}"
+            remedy += ": without a change of sign no oscillation sets in. Choose another range."
         raise RuntimeError(
-            f"No Hopf point in `{parameter}` was found near `guess`: {found.message} Start "
-            "closer, from a point of `continue_equilibrium`."
+            f"No Hopf point in `{parameter}` was found {where}: {found.message} {remedy}"
         )
     return found
 
 
-def _check_parameter(chain: Any, parameter: Any) -> None:
-    numbers = {name for name, value in chain.numbers().items() if np.shape(value) == ()}
-    if not isinstance(parameter, str) or parameter not in numbers:
+def _range_around(chain: Any, parameter: str, bounds: Any) -> tuple[float, float]:
+    low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
+    p = chain.value_of(parameter)
+    if not np.isfinite(high - low) or not (is_traced(p) or low <= p <= high):
         raise ValueError(
-            f"Argument `parameter` must be one of {sorted(numbers)}, the numbers of the model "
-            f"that are the same for all cells, but is {shown(parameter)}"
-            f"{did_you_mean(parameter, numbers)}."
+            f"Argument `bounds` must be finite and around the present value, {parameter} = "
+            f"{shown(p)}, but is {shown(bounds)}: change one of them."
         )
+    return low, high
+
+
+# Steps of a scan from the present value to each end of a range, and how often it is repeated
+# within one step.
+_SCAN, _ROUNDS = 64, 3
+
+
+def _nearest_onset(
+    rates: Rates, y: Array, p: Array, bounds: Array, growth: Any, tolerance: Array, limit: Array
+) -> tuple[Array, Array, Array, Array]:
+    """(y, p, exists, (least, greatest)): where `growth` of the Jacobian changes its sign next."""
+
+    def closer(k: Any, now: Any) -> Any:  # one loop, because each copy of the model is compiled
+        y, p, ends, exists, extremes = now
+
+        def follow(end: Array) -> tuple[Array, Array, Array]:
+            values = jnp.linspace(p, end, _SCAN + 1)
+            found = equilibria_over(rates, y, values, tolerance, limit)
+            rate = jax.vmap(lambda u, p: growth(jax.jacfwd(rates)(u, p)))(found.value, values)
+            return values, found.value, jnp.where(found.successful, rate, jnp.nan)
+
+        values, states, rate = (
+            jnp.concatenate([side[0, :0:-1], side[1]]) for side in jax.vmap(follow)(ends)
+        )
+        padded = jnp.append(rate, jnp.nan)  # comparisons with NaN are false
+        next_but_one = rate[:-1] * padded[2:] < 0  # also where the rate between them is 0
+        changes = next_but_one | (rate[:-1] * rate[1:] < 0)
+        middle = 0.5 * (values[:-1] + values[1:])
+        at = jnp.argmin(jnp.where(changes, jnp.abs(middle - p), jnp.inf))
+        end = values[at + 1 + jnp.where(next_but_one[at], 1, 0)]
+        spread = jnp.stack([jnp.nanmin(rate), jnp.nanmax(rate)])
+        extremes = jnp.where(k == 0, spread, extremes)
+        return states[at], values[at], jnp.stack([end, end]), exists & jnp.any(changes), extremes
+
+    now = y, p, bounds, jnp.asarray(True), jnp.zeros(2)
+    y, p, _, exists, extremes = lax.fori_loop(0, _ROUNDS, closer, now)
+    return y, p, exists, extremes
 
 
 @eqx.filter_jit
 def _hopf_point(
-    chain: Any, parameter: str, guess: State, frequency: Any, tolerance: Array, limit: Array
-) -> HopfPoint:
+    chain: Any,
+    parameter: str,
+    guess: State,
+    bounds: Any,
+    frequency: Any,
+    tolerance: Array,
+    limit: Array,
+) -> tuple[HopfPoint, Any]:
     m, frozen = len(guess), lax.stop_gradient(chain)
     rates = Rates.of(frozen, m, parameter)
-    p = to_float(frozen.numbers()[parameter])
+    p = frozen.value_of(parameter)
     y = lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(y.shape, y.shape[0] ** -0.5)
     y = search(_residual, y, Rates.of(frozen, m), tolerance, limit, weights).value
+
+    def nearest(values: Array, far: Array) -> Array:
+        return values[jnp.argmin(jnp.where(jnp.imag(values) > 0, far, jnp.inf))]
+
+    def growth(J: Array) -> Array:
+        """Of the oscillation that grows most, or is closest to `frequency`; NaN without one."""
+        values = jnp.linalg.eigvals(J)
+        far = -values.real if frequency is None else jnp.abs(values.imag - frequency)
+        # Rounding is no growth: of undamped oscillations none grows or decays.
+        value, least = nearest(values, far), 1e-12 * jnp.max(jnp.abs(values))
+        rate = jnp.where(jnp.abs(value.real) > least, value.real, 0.0)
+        return jnp.where(value.imag > 0, rate, jnp.nan)
+
+    exists, rate = jnp.asarray(True), None
+    if bounds is not None:
+        y, p, exists, rate = _nearest_onset(rates, y, p, bounds, growth, tolerance, limit)
     values = jnp.linalg.eigvals(jax.jacfwd(rates)(y, p))
     far = jnp.abs(jnp.real(values)) / jnp.abs(values)
     if frequency is not None:
         far = jnp.abs(jnp.imag(values) - frequency)
-    near = values[jnp.argmin(jnp.where(jnp.imag(values) > 0, far, jnp.inf))]
+    near = nearest(values, far)
     omega = jnp.imag(near)
     start = jnp.concatenate([y, jnp.stack([omega, p])])
     size = jnp.concatenate([1.0 + jnp.abs(y), jnp.abs(start[-2:]) + 1e-300])
     system = HopfSystem(rates, near)
     root = search(_hopf_residual, start, system, tolerance, limit, 1.0 / size)
     # A real eigenvalue that vanishes solves the equations as well.
-    good = root.successful & (root.value[-2] > _ON_AXIS * omega) & (omega > 0)
+    good = root.successful & (root.value[-2] > _ON_AXIS * omega) & (omega > 0) & exists
+    if bounds is not None:
+        good = good & (bounds[0] <= root.value[-1]) & (root.value[-1] <= bounds[1])
     none = SearchResult.where(root.successful, SearchResult.no_step_helps, root.result)
     live = Rates.of(chain, m, parameter)
     u = attach_derivative(_hopf_residual, root.value, HopfSystem(live, near))
@@ -474,7 +571,7 @@ def _hopf_point(
         good, none = good & slides, SearchResult.where(slides, none, SearchResult.sticking)
     values, vectors = jnp.linalg.eig(jax.jacfwd(rates)(y, p))
     mode = vectors[:, jnp.argmin(jnp.abs(values - 1j * root.value[-2]))]
-    return HopfPoint(
+    point = HopfPoint(
         chain=rates.at(p),
         parameter=parameter,
         value=u[-1],
@@ -486,6 +583,7 @@ def _hopf_point(
         result=SearchResult.where(good, root.result, none),
         steps=root.steps,
     )
+    return point, rate
 
 
 def _linearised(u: Array, p: Array, rates: Rates) -> tuple[Array, Array, Array]:
@@ -559,9 +657,8 @@ def continue_equilibrium(
     """
     check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
     as_chain(chain, AbstractField)
-    _check_parameter(chain, parameter)
+    p = float(as_parameter(chain, parameter))
     _check_sliding(chain)
-    p = float(chain.numbers()[parameter])
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
     if not low <= p <= high:
         raise ValueError(
@@ -613,11 +710,11 @@ def continue_equilibrium(
     stable = None if branch.extra is None else np.real(branch.extra[:, 0]) < 0.0
     special = tuple(filter(happens, branch.special))
     return replace(
-        branch, special=special, stable=stable, labels=_labels(chain, len(state), parameter)
+        branch, special=special, stable=stable, labels=labels_of(chain, len(state), parameter)
     )
 
 
-def _labels(chain: AbstractField, m: int, name: str) -> Labels:
+def labels_of(chain: AbstractField, m: int, name: str) -> Labels:
     """Of a branch of equilibria."""
     parts = [chain.variable(i) for i in range(m)]
     attrs = {part.name: {"long_name": part.long_name, "units": part.unit} for part in parts}

@@ -66,7 +66,7 @@ from ..cycles.phases import KINDS as DRY_KINDS
 from ..cycles.phases import Phases, phases_of, slip_phases
 from ..cycles.shooting import Shooting
 from ..cycles.symmetry import Symmetry
-from ..model.arguments import as_chain, as_mass
+from ..model.arguments import as_chain, as_mass, as_parameter
 from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
 from ..model.parameters import parameter
@@ -645,11 +645,10 @@ def _of_dry_cycle(
         )
     state = check_orbit(field, state, period, 1e-9, "point")
     mass = as_mass(state[0].shape[0], mass, getattr(point, "mass", 0))
-    numbers = field.numbers()
-    check_one_of("parameter", name, sorted(n for n in numbers if np.shape(numbers[n]) == ()))
+    value = as_parameter(field, name)
     shooting, u = phases_of(field, state, period, kind, mass)
     equations = _CycleEquations(shooting, "grazing fold" if shooting.slips else kind)
-    return equations, name, jnp.append(u, numbers[name])
+    return equations, name, jnp.append(u, value)
 
 
 @final
@@ -893,10 +892,12 @@ def continue_special(
     if isinstance(point, CyclePoint) and point.kind == "hopf":
         point = _hopf_of(point)
     equations, U = _equations(point, second)
-    first, q = equations.names[0], equations.field.numbers()
+    first = equations.names[0]
     check_concrete("use `find_special_cycle` or `find_hopf_point`.", chain=equations.field)
-    check_one_of("second", second, sorted(n for n in q if np.shape(q[n]) == () and n != first))
-    U, ranges = np.append(U, float(q[second])), _ranges(bounds, first, second)
+    q = float(as_parameter(equations.field, second, "second"))
+    if second == first:
+        raise ValueError(f"Argument `second` must be another number than the first, `{first}`.")
+    U, ranges = np.append(U, q), _ranges(bounds, first, second)
     for name, value in zip(ranges, U[-2:], strict=True):
         if not ranges[name][0] <= value <= ranges[name][1]:
             raise ValueError(

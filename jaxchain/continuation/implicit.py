@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import jax.tree_util as jtu
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Inexact, PyTree
 
 from .._checks import as_array, check_function
 from .._internals import nondifferentiable
@@ -50,7 +50,7 @@ def attach_derivative(
     return _attach(lax.stop_gradient(solution), parameters, residual=residual, once=once)
 
 
-def if_found(exists: Any, value: Float[Array, "*shape"]) -> Float[Array, "*shape"]:
+def if_found(exists: Any, value: Inexact[Array, "*shape"]) -> Inexact[Array, "*shape"]:
     """`value` where it was `found`; else NaN, and NaN as its derivatives.
 
     With `jnp.where(found, value, jnp.nan)` forward derivatives would be 0, like those of a

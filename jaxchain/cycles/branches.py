@@ -19,9 +19,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Complex, Float, Int
 from scipy.interpolate import BarycentricInterpolator
 
-from .._checks import check_concrete, check_kind, check_one_of, check_whole, shown
+from .._checks import check_concrete, check_kind, check_one_of, check_whole
 from .._final import final
-from .._spelling import did_you_mean
 from .._types import State
 from ..continuation.arclength import (
     Switched,
@@ -39,7 +38,7 @@ from ..continuation.branch import (
 )
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish, zero_error
-from ..model.arguments import as_mass
+from ..model.arguments import as_mass, as_parameter
 from ..model.chain import Chain, require_smoothed
 from ..model.oscillators import AbstractOscillators
 from ..model.parameters import SPEED, Parameter, parameter
@@ -764,17 +763,10 @@ def continue_cycle(
     state = check_orbit(chain, state, period, rtol)
     n, velocity = state[0].size, chain.value_and_rate(0.0, state)[1]
     mass = as_mass(n, mass, int(jnp.argmax(chain.belt_direction() * velocity)))
-    numbers = {name: value for name, value in chain.numbers().items() if np.shape(value) == ()}
-    if not isinstance(parameter, str) or parameter not in numbers:
-        raise ValueError(
-            "Argument `parameter` must name a number of the chain, one of "
-            f"{sorted(numbers)}, but is {shown(parameter)}"
-            f"{did_you_mean(parameter, numbers)}."
-        )
+    p = float(as_parameter(chain, parameter))
     solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=state)
     (images, shift), turns = as_symmetry(images, chain, state, mass), turns_of(chain, period)
     shooting = Shooting(chain, rtol, solver, mass, images, parameter, len(state), turns, shift)
-    p = float(numbers[parameter])
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):

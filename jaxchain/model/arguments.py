@@ -16,8 +16,10 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._spelling import did_you_mean
 from .cells import AbstractField
 from .chain import MAKE_CHAIN, Chain
+from .entries import array_of
 from .oscillators import AbstractOscillators
 
 _STATES = "see `excited_state` for initial states."
@@ -78,6 +80,27 @@ def as_state(
     if not batch:
         chain.check_locality(t0, parts)
     return parts
+
+
+def as_parameter(model: AbstractField, name: Any, title: str = "parameter") -> Float[Array, ""]:
+    """The value of the parameter of this name, one number, or `ValueError`.
+
+    An entry of an array is one, too: "stiffness[0, 1]".
+    """
+    if array_of(name) is not None:
+        return model.value_of(name)
+    numbers = model.numbers()
+    known = sorted(k for k, value in numbers.items() if np.shape(value) == ())
+    if not isinstance(name, str) or name not in known:
+        shape = np.shape(numbers.get(name)) if isinstance(name, str) else ()
+        entry = ", ".join(["0"] * len(shape))
+        raise ValueError(
+            f"Argument `{title}` must be one of {known}, the numbers of the model that are the "
+            f"same for all cells, or an entry of an array, but is {shown(name)}"
+            + (f": name one of its entries, `{name}[{entry}]`." if shape else "")
+            + ("" if shape else f"{did_you_mean(name, known)}.")
+        )
+    return model.value_of(name)
 
 
 def as_mass(n: int, mass: Any, default: Any = None, name: str = "mass") -> Any:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import abc
 import operator
+from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, ClassVar, NamedTuple
 
@@ -22,6 +23,7 @@ from .._checks import check_known, to_float
 from .._final import refuse_overrides, require_signature
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
+from .entries import array_of, entry
 from .friction import AbstractFriction, AbstractFrictionLaw
 from .locality import CELLS_FINAL, Dependence, check_cells, dependence
 from .parameters import Parameter
@@ -66,6 +68,7 @@ class AbstractField(PrintedAsCall, eqx.Module):
     time_unit: ClassVar[str] = "1"
     components: ClassVar[tuple[str, ...]] = ()
     contact: ClassVar[int] = 1
+    _symmetric: ClassVar[tuple[str, ...]] = ()
     frictional: ClassVar[bool] = False  # whether it has contacts that `EventDriven` integrates
 
     @property
@@ -98,6 +101,10 @@ class AbstractField(PrintedAsCall, eqx.Module):
     def parameter_names(self) -> tuple[str, ...]:
         """The names of the parameters that may differ from run to run of a sweep."""
         return tuple(self.numbers())
+
+    def has_parameter(self, name: str) -> bool:
+        """Whether this is one of the `parameter_names`, or an entry of one."""
+        return (array_of(name) or name) in self.parameter_names
 
     def check_parameter(self, name: str, values: Any) -> bool:
         """Raises `ValueError` for impossible values; False if each must be tried by `with_`."""
@@ -249,8 +256,12 @@ class AbstractField(PrintedAsCall, eqx.Module):
         return jax.jacfwd(rate)(jnp.concatenate(y))
 
     def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers, by the names of fields, checked as those of a new one."""
-        field, known = self, self.numbers()
+        """A copy with other numbers, by the names of fields, checked as those of a new one.
+
+        Entries of arrays are numbers, too: `with_(**{"stiffness[0, 1]": 0.3})`.
+        """
+        field, known, of = self, self.numbers(), f"`{type(self).__name__}.with_`"
+        changes = with_entries(changes, known, of, self._symmetric)
         if self.given_friction is not None:
             numbers = {k: changes.pop(k) for k in self.given_friction.numbers() if k in changes}
             if "width" in changes and "width" not in known:  # smooths dry friction
@@ -259,11 +270,11 @@ class AbstractField(PrintedAsCall, eqx.Module):
                 friction = self.given_friction.with_(**numbers)
                 field = eqx.tree_at(lambda f: f.friction, field, friction)
         converters = {f.name: f.metadata.get("converter", to_float) for f in fields(self)}
-        check_known(f"`{type(self).__name__}.with_`", changes, known)
+        check_known(of, changes, known)
         for name, value in changes.items():
             number = to_float(converters.get(name, to_float)(value))
             self._check_change(name, number)
-            field = eqx.tree_at(operator.attrgetter(self._place(name)), field, number)
+            field = eqx.tree_at(self._place(name), field, number)
         for kind in type(field).__mro__:
             if check := vars(kind).get("__check_init__"):
                 check(field)
@@ -273,9 +284,9 @@ class AbstractField(PrintedAsCall, eqx.Module):
         """Raises `ValueError` if this number cannot take the place of the present one."""
         del name, number
 
-    def _place(self, name: str) -> str:
-        """The attribute that a number is kept in."""
-        return name
+    def _place(self, name: str) -> Callable[[Any], Any]:
+        """From a model to the array that holds this number."""
+        return operator.attrgetter(name)
 
     @property
     def given_friction(self) -> AbstractFriction | None:
@@ -298,6 +309,14 @@ class AbstractField(PrintedAsCall, eqx.Module):
                 f"`{taken[0]}`, which is the name of a number of {type(self).__name__}: rename it."
             )
         return {**friction, **arrays}
+
+    def value_of(self, name: str) -> Array:
+        """The number of this name, or an entry of one: `value_of("stiffness[0, 1]")`."""
+        numbers = self.numbers()
+        if array_of(name) is not None:
+            return entry(name, numbers)
+        check_known("The model", [name], numbers)
+        return to_float(numbers[name])
 
 
 class AbstractCells(AbstractField):

@@ -26,6 +26,7 @@ from .._computed_once import spread
 from .._final import final
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractField
+from .entries import with_entries
 from .friction import (
     AbstractFriction,
     AbstractFrictionLaw,
@@ -388,7 +389,7 @@ class Chain(AbstractOscillators):
 
         It takes the names of the constructor, and for the friction `width`, `mu_static`,
         `mu_dynamic`, `v_ref` or any other field of the law.  A `width` smooths dry friction; None
-        makes it dry.
+        makes it dry.  Of a number per mass it takes entries, `with_(**{"damping_ratio[3]": 0.1})`.
 
         >>> from jaxchain import paper_chain
         >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).width)
@@ -396,6 +397,7 @@ class Chain(AbstractOscillators):
         >>> paper_chain().with_(width=None).dry
         True
         """
+        changes = with_entries(changes, self.numbers(), "`Chain.with_`")
         fields = {
             "n": self.n,
             "friction": self.friction,

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any, get_args
 
 import equinox as eqx
@@ -28,17 +29,21 @@ from .._checks import (
     to_float,
 )
 from .._final import final
+from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractCells
 from .friction import AbstractFriction, AbstractFrictionLaw, TanhFriction, as_law
 from .springs import Ends
-from .tridiagonal import Entries, factor, substitute
+from .tridiagonal import factor, substitute
 
 # The fields with an entry for each displacement, unless they are one number for all of them.
 _MATRICES = ("stiffness", "mass", "damping", "coupling", "coupling_damping")
 _OF_DISPLACEMENTS = (*_MATRICES, "force")
 
 Parts = tuple[Float[Array, " n"], ...]
+# Matrices up to this size are written out entry by entry, so that no zero is multiplied; more
+# entries would take minutes to compile (24 displacements 6), and are arrays.
+_WRITTEN_OUT = 6
 # One number, (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each cell.
 Matrix = Float[Array, "..."]
 
@@ -52,6 +57,33 @@ def _forces(name: str) -> Callable[[Any], Any]:
         return function if isinstance(function, eqx.Module | None) else jtu.Partial(function)
 
     return convert
+
+
+class Added(PrintedAsCall, eqx.Module):
+    """`factor` times `matrices`, which are added to those of the same names."""
+
+    matrices: dict[str, Matrix]
+    factor: Array = eqx.field(converter=named("factor"), default=0.0)
+
+
+def _plus(plus: Any) -> dict[str, Added]:
+    """The converter of `plus`: a matrix without a name is added to the stiffness."""
+    wanted = '{"friction": matrix} or {"friction": {"stiffness": matrix, "damping": matrix}}'
+    check_kind("plus", plus, Mapping, f"a dict of names and matrices, {wanted}")
+    added = {}
+    for name, part in plus.items():
+        if not isinstance(name, str) or not name.isidentifier():
+            raise ValueError(f"Argument `plus` must have names as keys, but has {shown(name)}.")
+        if not isinstance(part, Added):
+            given = part if isinstance(part, Mapping) else {"stiffness": part}
+            if not given or not given.keys() <= {*_MATRICES}:
+                raise ValueError(
+                    f"Argument `plus[{name!r}]` must be the matrix that is added to `stiffness`, "
+                    f"or a dict of matrices added to {list(_MATRICES)}, but names {[*given]}."
+                )
+            part = Added({k: to_float(v, f"plus[{name!r}][{k!r}]") for k, v in given.items()})
+        added[name] = part
+    return added
 
 
 def _friction(friction: Any) -> Any:
@@ -89,14 +121,19 @@ class MechanicalCells(AbstractCells):
     - `friction`: a law of `jaxchain.model` for dry friction, or `TanhFriction`; `belt_speed` = v_d
       and `normal_load` = p >= 0; `sliding`, which displacement slides, counted from 0.
     - `force` = f, one number or shape (d,); `frequency` = omega > 0.
+    - `plus`: parameters that multiply further matrices, by name.  `plus={"friction": Kf}` makes
+      K + friction Kf of the stiffness K; `plus={"friction": {"stiffness": Kf, "damping": Df}}`
+      adds to several of the four matrices, whose shapes Kf and Df may have.  Each parameter is 0
+      until `with_(friction=0.3)` sets it.
     - `ends`: "cyclic" or "free"; `names` of the displacements.
 
     `spring` and `local_force` are functions, or `equinox.Module`s whose numbers are fields; they
     compute all cells side by side.
 
-    `with_` changes numbers by their names.  Where the cells hold an array over displacements, it
-    refuses one number, which would act on all displacements; `normal_load` and the numbers of the
-    friction law are one for all cells or one for each.
+    `with_` changes numbers by their names, and entries of arrays by names such as
+    "stiffness[0, 1]", counted from 0; off the diagonal of M it sets both entries.  Where the cells
+    hold an array over displacements, it refuses one number, which would act on all displacements;
+    `normal_load` and the numbers of the friction law are one for all cells or one for each.
 
     **Raises:** `ValueError` for anything else.
 
@@ -115,6 +152,15 @@ class MechanicalCells(AbstractCells):
         >>> run = simulate(cells, start, 100.0, observe=Amplitude(window=20.0, component=1))
         >>> round(float(run.observed[0]), 4)
         0.1931
+
+        Friction couples two modes of a sliding mass, K + mu Kf, and makes them flutter:
+
+        >>> from jaxchain.boundaries import find_hopf_point
+        >>> Kf = jnp.array([[0.0, -1.0], [0.0, 0.0]])
+        >>> pads = MechanicalCells([[2.0, 0.5], [0.5, 1.0]], damping=0.1, plus={"friction": Kf})
+        >>> flutter = find_hopf_point(pads.with_(friction=0.9), "friction", start)
+        >>> round(float(flutter.value), 4)
+        1.03
     """
 
     stiffness: Matrix = eqx.field(converter=named("stiffness"))
@@ -138,6 +184,11 @@ class MechanicalCells(AbstractCells):
         converter=optional("coupling_damping"), default=None
     )
 
+    plus: dict[str, Added] | None = eqx.field(
+        converter=lambda plus: None if plus is None else _plus(plus), default=None
+    )
+    _symmetric = ("mass",)
+
     def __post_init__(self) -> None:
         if self.n is None:  # known from a matrix for each cell, or a load or law for each
             matrices = [getattr(self, name) for name in _MATRICES]
@@ -151,10 +202,7 @@ class MechanicalCells(AbstractCells):
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))
         d = self.d
-        for name in _MATRICES:
-            value = getattr(self, name)
-            if value is None:
-                continue
+        for name, value in self._all_matrices().items():
             check_finite(name, value)
             if value.shape[-2:] not in ((), (d,), (d, d)) or value.ndim > 3:
                 raise ValueError(
@@ -164,14 +212,27 @@ class MechanicalCells(AbstractCells):
         check_whole("sliding", self.sliding, 0, d - 1, "it counts displacements from 0.")
         if self.names is not None and len(self.names) != d:
             raise ValueError(f"Argument `names` must have {d} names, but is {self.names}.")
-        if not is_traced(self.mass):
-            whole = np.asarray(self.mass)
-            whole = whole if whole.ndim > 1 else whole * np.eye(d)
-            symmetric = np.array_equal(whole, np.swapaxes(whole, -1, -2))
-            if not symmetric or np.min(np.linalg.eigvalsh(whole)) <= 0:
+        for name, added in (self.plus or {}).items():
+            check_number(name, added.factor)
+            taken = {f.name for f in fields(self)} | set(super().numbers())
+            if name in taken and not (name == "friction" and self.friction is None):
+                raise ValueError(
+                    f"Argument `plus` must have names of its own, but has `{name}`, which is one "
+                    "of these cells: rename it."
+                )
+        if not is_traced(self.mass, self.plus):
+            whole = _dense(self.mass, d)
+            for added in (self.plus or {}).values():
+                if "mass" in added.matrices:
+                    whole = whole + float(added.factor) * _dense(added.matrices["mass"], d)
+            skew = np.max(np.abs(whole - np.swapaxes(whole, -1, -2)))
+            # A product such as R R^T, or a file with nine digits, is symmetric up to rounding.
+            rounding = 1e-9 * np.max(np.abs(whole))
+            if skew > rounding or np.min(np.linalg.eigvalsh(whole)) <= 0:
                 raise ValueError(
                     "Argument `mass` must be symmetric and positive definite, but is "
-                    f"{whole.tolist()}: a displacement without mass has no rate."
+                    f"{whole.tolist() if whole.size < 10 else shown(whole)}: "
+                    "a displacement without mass has no rate."
                 )
         check_number("belt_speed", self.belt_speed)
         check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
@@ -195,9 +256,8 @@ class MechanicalCells(AbstractCells):
         per_cell = {"normal_load": self.normal_load}
         if self.friction is not None:
             per_cell |= self.friction.numbers()
-        for name in _MATRICES:
-            value = getattr(self, name)
-            if value is not None and value.ndim == 3:
+        for name, value in self._all_matrices().items():
+            if value.ndim == 3:
                 per_cell[name] = value[:, 0, 0]
         check_per_mass(**per_cell)
         at_rest = (jnp.zeros(1),) * d
@@ -235,17 +295,40 @@ class MechanicalCells(AbstractCells):
             raise ValueError(
                 f"Argument `{name}` must have shape {shape}, as in these cells, but is one "
                 f"number, {shown(number)}, which would act on all {self.d} displacements: give "
-                f"all entries, such as `cells.{name}.at[{entry}].set(0.2)`. A sweep does so by "
-                f"`vary`: `lambda cells, size: "
-                f"cells.with_({name}=cells.{name}.at[{entry}].set(size))`."
+                f"all entries, or name one of them, `{name}[{entry}]`, in `over` or in "
+                f'`cells.with_(**{{"{name}[{entry}]": 0.2}})`.'
             )
 
     @property
     def d(self) -> int:
         """The number of displacements of a cell."""
-        matrices = [getattr(self, name) for name in _MATRICES]
-        sizes = [a.shape[-1] for a in matrices if a is not None and a.ndim]
+        sizes = [a.shape[-1] for a in self._all_matrices().values() if a.ndim]
         return sizes[0] if sizes else 1
+
+    def _all_matrices(self) -> dict[str, Matrix]:
+        """The matrices that are given, those of `plus` by names such as "plus['friction']"."""
+        named = {name: getattr(self, name) for name in _MATRICES}
+        for parameter, added in (self.plus or {}).items():
+            named |= {f"plus[{parameter!r}][{k!r}]": a for k, a in added.matrices.items()}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def _matrix(self, name: str) -> Any:
+        """A matrix with what `plus` adds: its entries, or a large one as an array; or None."""
+        value = getattr(self, name)
+        total = None if value is None else _of_size(value, self.d)
+        for added in (self.plus or {}).values():
+            if name in added.matrices:
+                total = _plus_scaled(total, added.factor, _of_size(added.matrices[name], self.d))
+        return total
+
+    def _place(self, name: str) -> Callable[[Any], Any]:
+        if self.plus is None or name not in self.plus:
+            return super()._place(name)
+        return lambda cells: cells.plus[name].factor
+
+    def numbers(self) -> dict[str, Array]:
+        """The arrays among the fields, the numbers of the law, the parameters of `plus`."""
+        return super().numbers() | {name: a.factor for name, a in (self.plus or {}).items()}
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -337,7 +420,7 @@ class MechanicalCells(AbstractCells):
         """M^{-1} e_u: the accelerations by a unit force at the contact; None for 0."""
         unit: list[Any] = [None] * self.d
         unit[self.sliding] = jnp.ones(())
-        return substitute(factor(_entries(self.mass, self.d)), unit)
+        return _solve(self._matrix("mass"), unit)
 
     def accelerations(self, t: ScalarLike, y: State) -> Parts:
         """`free_acceleration` of all cells of a state."""
@@ -350,19 +433,25 @@ class MechanicalCells(AbstractCells):
         q, v = own[:d], own[d:]
         behind = [a - b for a, b in zip(q, left[:d], strict=True)]
         ahead = [a - b for a, b in zip(right[:d], q, strict=True)]
-        forces = [-part for part in _product(_entries(self.stiffness, d), q)]
+        forces = _product(self._matrix("stiffness"), q)
+        forces = [-part for part in forces] if isinstance(forces, list) else -forces
 
         def add(parts: Any, sign: float = 1.0) -> None:
-            for i, part in enumerate(parts):
-                forces[i] = forces[i] + sign * part
+            nonlocal forces
+            if isinstance(forces, list):
+                forces = [a + sign * part for a, part in zip(forces, parts, strict=True)]
+            elif isinstance(parts, tuple | list):
+                forces = forces + sign * jnp.stack(jnp.broadcast_arrays(*parts, q[0])[:-1])
+            else:
+                forces = forces + sign * parts
 
-        add(_product(_entries(self.damping, d), v), -1.0)
-        if self.coupling is not None:
+        add(_product(self._matrix("damping"), v), -1.0)
+        if (coupling := self._matrix("coupling")) is not None:
             bend = [a - b for a, b in zip(ahead, behind, strict=True)]
-            add(_product(_entries(self.coupling, d), bend))
-        if self.coupling_damping is not None:
+            add(_product(coupling, bend))
+        if (damper := self._matrix("coupling_damping")) is not None:
             turn = [a - 2.0 * b + c for a, b, c in zip(left[d:], v, right[d:], strict=True)]
-            add(_product(_entries(self.coupling_damping, d), turn))
+            add(_product(damper, turn))
         if self.spring is not None:
             add(self.spring(tuple(ahead)))
             add(self.spring(tuple(behind)), -1.0)
@@ -372,7 +461,7 @@ class MechanicalCells(AbstractCells):
             frequency: Any = self.frequency  # belongs to `force`
             wave = jnp.cos(frequency * t)
             add([f * wave for f in jnp.broadcast_to(self.force, (d,))])
-        return tuple(substitute(factor(_entries(self.mass, d)), forces))
+        return tuple(_solve(self._matrix("mass"), forces))
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)
@@ -385,16 +474,50 @@ class MechanicalCells(AbstractCells):
         return (*v, *accelerations)
 
 
-def _entries(matrix: Matrix, d: int) -> Entries:
-    """The entries of a matrix; None for zeros of one that is given by less than (d, d)."""
+def _of_size(matrix: Matrix, d: int) -> Any:
+    """The entries of a matrix; None for zeros of one that is given by less than (d, d).
+
+    Of a large one an array of shape (d, d) or (n, d, d).
+    """
+    if d > _WRITTEN_OUT:
+        return matrix if matrix.ndim > 1 else jnp.diag(jnp.broadcast_to(matrix, (d,)))
     if matrix.ndim > 1:
         return [[matrix[..., i, j] for j in range(d)] for i in range(d)]
     diagonal = jnp.broadcast_to(matrix, (d,))
     return [[diagonal[i] if i == j else None for j in range(d)] for i in range(d)]
 
 
-def _product(matrix: Entries, parts: Any) -> list[Any]:
+def _dense(matrix: Matrix, d: int) -> np.ndarray:
+    """A concrete matrix of shape (d, d) or (n, d, d)."""
+    return np.asarray(matrix) if matrix.ndim > 1 else np.asarray(matrix) * np.eye(d)
+
+
+def _plus_scaled(total: Any, factor: Array, part: Any) -> Any:
+    if total is None or not isinstance(part, list):
+        scaled = jax.tree.map(lambda a: factor * a, part)  # keeps None
+        return scaled if total is None else total + scaled
+
+    def entry(a: Any, b: Any) -> Any:
+        return a if b is None else factor * b if a is None else a + factor * b
+
+    return [[*map(entry, *rows)] for rows in zip(total, part, strict=True)]
+
+
+def _product(matrix: Any, parts: Any) -> Any:
+    """The parts of a product; of an array, one array."""
+    if not isinstance(matrix, list):
+        return jnp.einsum("...ij,j...->i...", matrix, jnp.asarray(parts))
     return [
         sum((a * part for a, part in zip(row, parts, strict=True) if a is not None), 0.0)
         for row in matrix
     ]
+
+
+def _solve(matrix: Any, parts: Any) -> Any:
+    """M^{-1} parts; a part that is None is zero."""
+    if isinstance(matrix, list):
+        return substitute(factor(matrix), parts)
+    if isinstance(parts, list):
+        parts = jnp.stack([jnp.zeros(()) if part is None else part for part in parts])
+    # The inverse does not depend on the state, so that a Taylor series only multiplies by it.
+    return _product(jnp.linalg.inv(matrix), parts)

@@ -10,6 +10,8 @@ one (cyclic) tridiagonal system per stage, which `model/tridiagonal.py` solves.
 """
 
 import abc
+import operator
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -181,8 +183,8 @@ class AbstractOscillators(AbstractField):
         """tr J = sum of dh_n/dv_n."""
         return jnp.sum(self.local_force_and_slopes(t, *y)[1].velocity)
 
-    def _place(self, name: str) -> str:
-        return "springs.constant" if name == "coupling" else name
+    def _place(self, name: str) -> Callable[[Any], Any]:
+        return operator.attrgetter("springs.constant" if name == "coupling" else name)
 
     def numbers(self) -> dict[str, Array]:
         """The arrays among the fields by name, and the springs' constant as `coupling`."""

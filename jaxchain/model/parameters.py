@@ -141,7 +141,13 @@ PARAMETERS = CHAIN | FRICTION
 def parameter(name: str) -> Parameter:
     """The row of a number; for a number of a custom friction law the name is the description.
 
+    The row of an entry, "stiffness[3]", is the row of its array without the symbol.
+
     >>> parameter("mu_peak").label, parameter("mu_peak").sign
     ('mu_peak (–)', 'any')
     """
-    return PARAMETERS.get(name, Parameter(name, name, required=True))
+    array, bracket, index = name.partition("[")
+    row = PARAMETERS.get(array, Parameter(name, name, required=True))
+    if not bracket or array not in PARAMETERS:
+        return row
+    return row._replace(name=name, words=f"{row.words} [{index}", symbol="")

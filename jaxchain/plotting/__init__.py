@@ -5,6 +5,7 @@
 - `fits`: the profile likelihood of a fitted number
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry
 - `model`: the chain on its belt, and the friction law, as drawings
+- `modes`: frequencies and growth rates of modes over a parameter
 - `motions`: a run over time, in the phase plane, and as a film
 - `states`: localized states as circles, their delays, time series and orbits
 - `style`: page width, colours, symbols, labels of axes, files of figures

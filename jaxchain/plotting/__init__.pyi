@@ -5,6 +5,7 @@ from .model import draw_friction as draw_friction
 from .model import draw_mechanism as draw_mechanism
 from .model import draw_model as draw_model
 from .model import plot_friction_law as plot_friction_law
+from .modes import plot_modes as plot_modes
 from .motions import animate as animate
 from .motions import film_strip as film_strip
 from .motions import loop as loop

@@ -200,6 +200,8 @@ _NAMES: dict[str, tuple[str, str]] = {
     "end_time": ("end of the run", r"\tau"),
     "relative_velocity": ("relative velocity", r"\tilde v_{rel}"),
     "friction_force": ("friction force", r"\tilde F"),
+    "frequency": ("frequency", r"\omega"),
+    "growth_rate": ("growth rate", r"\mathrm{Re}\,\lambda"),
     "excited": ("oscillators excited at the start", ""),
     "oscillator": ("oscillator", "n"),
 }

@@ -110,7 +110,7 @@ def to_dataset(
             attrs_of[name]["long_name"] = LONG_NAMES[name]
         timed = name in ("end_time", "segment_end")
         attrs_of[name]["units"] = chain.time_unit if timed else "1"
-    for name in columns_of(axes).keys() & set(chain.parameter_names):
+    for name in filter(chain.has_parameter, columns_of(axes)):
         attrs_of[name] |= chain.parameter(name).attrs
     attrs_of["result"] |= {
         "flag_values": np.arange(len(NAMES), dtype=code.dtype),

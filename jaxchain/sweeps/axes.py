@@ -23,6 +23,7 @@ from .._limits import MOST_LANES
 from .._spelling import did_you_mean
 from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
+from ..model.entries import array_of
 from ..simulation.dataset import Axes, columns_of, sizes
 from .lanes import initial_names
 
@@ -62,15 +63,18 @@ def check_axes(
         for name in columns:
             if name == "width" and name not in of_functions:
                 require_smoothed(chain, "to sweep `width` ")
-            if name not in [*numbers, *of_functions]:
+            number = chain.has_parameter(name)
+            if number and array_of(name) is not None:
+                chain.value_of(name)  # raises unless there is such an entry
+            if not number and name not in of_functions:
                 known = sorted({*numbers, *of_functions})
                 raise ValueError(
                     f"Argument `over` names {name!r}, which is neither a number of the chain nor "
                     f"a parameter of `initial` or `vary`{did_you_mean(name, known)}; allowed are "
                     f"{known}."
                 )
-            _check_column(dim, name, columns, name not in numbers)
-            if name in numbers:
+            _check_column(dim, name, columns, not number)
+            if number:
                 columns[name] = columns[name].astype(float)
         if not columns or (dim in names and dim not in columns):
             raise ValueError(
@@ -91,7 +95,9 @@ def check_axes(
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
     columns = columns_of(axes)
-    left = [k for k in numbers if k in columns and not chain.check_parameter(k, columns[k])]
+    left = [
+        k for k in columns if chain.has_parameter(k) and not chain.check_parameter(k, columns[k])
+    ]
     for row in extremes(axes, left):
         chain.with_(**row)  # also for those of a law that contradict each other
     return axes

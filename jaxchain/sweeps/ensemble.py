@@ -43,6 +43,7 @@ from .._checks import check_concrete, check_finite, shown, to_float
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
 from ..model.cells import AbstractField
+from ..model.entries import array_of
 from ..model.parameters import parameter
 from ..model.provenance import versions
 from ..observers.amplitude import Amplitude
@@ -234,8 +235,9 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
     )
     if method.solver is None:
         strongest = chain
-        if "coupling" in columns:  # decides the linear solve
-            strongest = chain.with_(coupling=float(np.max(columns["coupling"])))
+        for name in columns:  # the strongest coupling decides the linear solve
+            if "coupling" in (name, array_of(name)):
+                strongest = strongest.with_(**{name: float(np.max(columns[name]))})
 
         def first_state() -> State:
             first = {name: jnp.asarray(values[0]) for name, values in columns.items()}
@@ -256,8 +258,9 @@ def _numerics(
     accuracy: float,
 ) -> tuple[np.ndarray, float]:
     """The width of every job, and one rtol for all."""
-    names = [*chain.parameter_names, *([] if vary is None else initial_names(vary))]
-    columns = {name: jnp.asarray(v) for name, v in jobs.items() if name in names}
+    names = [] if vary is None else initial_names(vary)
+    kept = {name: v for name, v in jobs.items() if name in names or chain.has_parameter(name)}
+    columns = {name: jnp.asarray(v) for name, v in kept.items()}
 
     def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
         chosen = choose_numerics(chain_of_run(chain, vary, values), accuracy)

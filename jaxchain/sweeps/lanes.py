@@ -39,7 +39,7 @@ def initial_names(initial: Callable) -> list[str]:
 
 def with_numbers(chain: Any, values: Mapping[str, Any]) -> Any:
     """The chain with those of the `values` that are its numbers."""
-    numbers = {k: v for k, v in values.items() if k in chain.parameter_names}
+    numbers = {k: v for k, v in values.items() if chain.has_parameter(k)}
     return chain.with_(**numbers) if numbers else chain
 
 
@@ -131,7 +131,7 @@ class RunStarts(eqx.Module):
 
     def of(self, values: Mapping[str, Any]) -> RunStart:
         """The start of the job with these values."""
-        numbers = {k: v for k, v in values.items() if k in self.chain.parameter_names}
+        numbers = {k: v for k, v in values.items() if self.chain.has_parameter(k)}
         given = chain = with_numbers(self.chain, numbers)
         new = []
         if self.vary is not None:

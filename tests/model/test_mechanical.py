@@ -209,7 +209,7 @@ def test_mode_coupling_from_matrices():
 def test_one_number_does_not_replace_an_array_over_displacements(name, shape):
     """It would drive, hold or damp all of them."""
     cells = two_of_each()
-    match = rf"`{name}` must have shape \({shape}\).*all 2 displacements.*`vary`"
+    match = rf"`{name}` must have shape \({shape}\).*all 2 disp.*name one of them, `{name}"
     with pytest.raises(ValueError, match=match):
         cells.with_(**{name: 0.2})
     with pytest.raises(ValueError, match=match):

@@ -1,0 +1,207 @@
+"""Complex modes against numpy.linalg.eig, and the onset of flutter."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from jaxchain import ExponentialDecay, paper_chain
+from jaxchain.boundaries import complex_modes, find_hopf_point
+from jaxchain.model import MechanicalCells, ModeCoupling
+from jaxchain.model.sliding import sliding_eigenvalues
+
+D = 24
+RNG = np.random.default_rng(1)
+_A, _B = RNG.normal(size=(2, D, D))
+M = np.eye(D) + 0.1 * _A @ _A.T / D
+K = np.diag(np.linspace(1.0, 30.0, D)) + _B @ _B.T / D
+KF = RNG.normal(size=(D, D))  # not symmetric
+REST = (jnp.zeros(1),) * (2 * D)
+
+
+def brake(damping=0.01, friction=0.0):
+    """24 displacements with proportional damping."""
+    cells = MechanicalCells(K, mass=M, damping=damping * M + 0.002 * K, plus={"friction": KF})
+    return cells.with_(friction=friction)
+
+
+def by_numpy(friction, damping=0.01):
+    stiffness, D_ = K + friction * KF, damping * M + 0.002 * K
+    bottom = [-np.linalg.solve(M, stiffness), -np.linalg.solve(M, D_)]
+    return np.linalg.eigvals(np.block([[np.zeros((D, D)), np.eye(D)], bottom]))
+
+
+def onset(damping=0.01):
+    """(mu_c, omega) of the first flutter."""
+
+    def growth(mu):
+        return by_numpy(mu, damping).real.max()
+
+    mu = brentq(growth, 0.25, 0.42, xtol=1e-16, rtol=1e-15)
+    values = by_numpy(mu, damping)
+    return mu, abs(values[values.real.argmax()].imag)
+
+
+class Bend(eqx.Module):
+    """Forces that are not linear, so that the equilibrium moves."""
+
+    cubic: jax.Array
+
+    def __call__(self, q, v):
+        return 1.0 - self.cubic * q[0] ** 3, -0.2 * q[1] ** 2
+
+
+def small(**numbers):
+    return ModeCoupling(
+        **{"stiffness_x": 2.0, "stiffness_y": 1.0, "stiffness_xy": 0.5, "contact_stiffness": 1.0,
+           "friction": 0.0} | numbers
+    )  # fmt: skip
+
+
+def test_flutter_of_24_displacements_is_found_from_any_start():
+    mu, omega = onset()
+    for start in (0.0, 0.4):
+        found = find_hopf_point(brake(friction=start), "friction", REST, bounds=(0.0, 0.5))
+        assert abs(float(found.value) / mu - 1.0) < 1e-12
+        assert abs(float(found.frequency) / omega - 1.0) < 1e-12
+
+    def critical(damping):
+        point = find_hopf_point(brake(damping), "friction", REST, bounds=(0.0, 0.5), throw=False)
+        return point.value
+
+    step = 1e-4
+    one, two = (onset(0.01 + k * step)[0] - onset(0.01 - k * step)[0] for k in (1, 2))
+    by_differences = (8.0 * one - two) / (12.0 * step)
+    assert abs(float(jax.grad(critical)(0.01)) / by_differences - 1.0) < 1e-6
+
+
+def test_modes_of_24_displacements_are_those_of_numpy_and_do_not_jump():
+    mu = np.linspace(0.0, 1.0, 100)
+    modes = complex_modes(brake(), over={"friction": mu})
+    assert modes.eigenvalues.shape == (100, D)
+    for value, row in zip(mu, np.asarray(modes.eigenvalues), strict=True):
+        values = by_numpy(value)
+        np.testing.assert_allclose(
+            np.sort_complex(row), np.sort_complex(values[values.imag > 0]), atol=1e-11
+        )
+    # A mode keeps its shape, and its slope is that of its column.
+    assert float(jnp.nanmin(modes.mac)) > 0.7
+    between = np.diff(modes.eigenvalues, axis=0) / np.diff(mu)[:, None]
+    mean = 0.5 * (modes.slopes[1:] + modes.slopes[:-1])
+    assert np.median(np.abs(between - mean)) < 1e-3 * np.median(np.abs(mean))
+
+
+def test_two_modes_meet_where_hoffmann_says():
+    k11, k22, k12 = 2.3, 1.1, 0.4
+    critical = k12 + (k11 - k22) ** 2 / (4.0 * k12)
+    cells = small(stiffness_x=k11, stiffness_y=k22, stiffness_xy=k12)
+    mu = critical * np.array([0.0, 0.5, 0.999, 1.001, 1.2])
+    modes = complex_modes(cells, over={"friction": mu})
+    middle, product = 0.5 * (k11 + k22), k11 * k22 - k12 * (k12 - mu)
+    squares = middle + np.sqrt(middle**2 - product + 0j)[:, None] * np.array([-1.0, 1.0])
+    exact = np.sqrt(-squares + 0j)
+    exact = np.where(exact.imag < 0, -exact, exact)
+    for row, known in zip(np.asarray(modes.eigenvalues), exact, strict=True):
+        ordered = (sorted(a, key=lambda z: (round(z.imag, 8), z.real)) for a in (row, known))
+        np.testing.assert_allclose(*ordered, atol=1e-9)
+    growth = np.asarray(modes.growth_rate)
+    assert np.all(np.abs(growth[:3]) < 1e-12)
+    assert np.all(growth[3:].max(axis=1) > 0.01)
+    np.testing.assert_allclose(
+        modes.damping_ratio, -growth / np.abs(modes.eigenvalues), atol=1e-15
+    )
+
+
+def test_without_damping_modes_meet_on_the_axis_and_nothing_crosses():
+    start = (jnp.zeros(1),) * 4
+    with pytest.raises(RuntimeError, match=r"between 0 and 0\.5.*growth rate.* is 0 to 0"):
+        find_hopf_point(small(), "friction", start, bounds=(0.0, 0.5))
+    with pytest.raises(ValueError, match="`bounds` must be finite and around"):
+        find_hopf_point(small(friction=0.7), "friction", start, bounds=(0.0, 0.5))
+
+
+def test_shapes_and_slopes_have_derivatives():
+    """Of every number, here also of the equilibrium, which moves."""
+    mu, h = np.array([0.3, 0.5]), 1e-6
+
+    def table(cubic, friction=mu):
+        cells = MechanicalCells(
+            [[2.0, 0.5], [0.5, 1.0]], damping=0.1, plus={"friction": [[0.3, -1.0], [0.0, 0.0]]},
+            local_force=Bend(jnp.asarray(cubic)),
+        )  # fmt: skip
+        modes = complex_modes(cells, over={"friction": friction})
+        return modes.eigenvalues[:, :2], modes.shapes[0][:, :2], modes.slopes[:, :2]
+
+    _, by_jax = jax.jvp(table, (0.4,), (1.0,))
+    ahead, behind = (table(0.4 + sign * h) for sign in (1.0, -1.0))
+    for slope, a, b in zip(by_jax, ahead, behind, strict=True):
+        np.testing.assert_allclose(slope, (a - b) / (2.0 * h), rtol=1e-6, atol=1e-7)
+    ahead, behind = (table(0.4, mu + sign * h)[0] for sign in (1.0, -1.0))
+    np.testing.assert_allclose(table(0.4)[2], (ahead - behind) / (2.0 * h), rtol=1e-7)
+    reverse = jax.grad(lambda cubic: jnp.sum(jnp.imag(table(cubic)[0])))(0.4)
+    np.testing.assert_allclose(reverse, np.sum(np.imag(by_jax[0])), rtol=1e-9)
+
+
+def test_modes_cross_without_an_exchange():
+    """Two uncoupled displacements: the frequency of one passes that of the other."""
+    cells = MechanicalCells([[1.0, 0.0], [0.0, 2.0]], damping=0.1)
+    modes = complex_modes(cells, over={"stiffness[0, 0]": np.linspace(1.0, 3.1, 12)})
+    first = np.asarray(modes.frequency[:, 0]) ** 2 + 0.05**2
+    np.testing.assert_allclose(first, np.linspace(1.0, 3.1, 12), rtol=1e-9)
+    data = modes.to_dataset()
+    assert data["frequency"].dims == ("stiffness[0, 0]", "mode")
+    np.testing.assert_allclose(data["shape_real"].sel(mode=1, component="q1"), 1.0)
+
+
+def test_a_pair_that_becomes_two_real_eigenvalues_gets_a_second_column():
+    cells = MechanicalCells(1.0)
+    c = np.array([1.0, 1.9, 2.5, 3.0])
+    modes = complex_modes(cells, over={"damping": c})
+    assert modes.eigenvalues.shape == (4, 2)
+    assert np.all(np.isnan(modes.frequency[:2, 1]))
+    assert np.all(modes.frequency[2:] == 0.0)
+    roots = np.sort(np.asarray(modes.growth_rate[2:]), axis=1)
+    np.testing.assert_allclose(roots, [np.sort(np.roots([1.0, b, 1.0])) for b in c[2:]])
+
+
+@pytest.mark.parametrize("width", [None, 1e-2])
+def test_modes_of_a_chain_are_those_of_steady_sliding(width):
+    """Double eigenvalues, waves q and -q, also have slopes."""
+    chain = paper_chain(4, belt_speed=1.0, width=width)
+    modes = complex_modes(chain, over={"belt_speed": [1.0, 1.5]})
+    for row, speed in zip(np.asarray(modes.eigenvalues), (1.0, 1.5), strict=True):
+        known = np.asarray(sliding_eigenvalues(chain, jnp.asarray(speed)))
+        known = known[known.imag > 0]
+        np.testing.assert_allclose(np.sort(row.imag), np.sort(known.imag), rtol=1e-9)
+        np.testing.assert_allclose(row.real, known.real.mean(), rtol=1e-7)
+    near = complex_modes(chain, over={"belt_speed": [1.0, 1.0001]}).growth_rate
+    np.testing.assert_allclose(jnp.real(modes.slopes[0]), (near[1] - near[0]) / 1e-4, rtol=1e-3)
+
+
+def test_a_dry_mass_on_a_belt_at_rest_has_no_modes():
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    cells = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=0.0)
+    with pytest.raises(RuntimeError, match="let the belt move"):
+        complex_modes(cells)
+    found = complex_modes(cells, over={"belt_speed": [0.0, 1.0]})
+    assert found.successful.tolist() == [False, True]
+    with pytest.raises(ValueError, match="must increase or decrease"):
+        complex_modes(cells, over={"belt_speed": [1.0, 0.5, 0.7]})
+    with pytest.raises(ValueError, match="name one parameter"):
+        complex_modes(cells, over={"belt_speed": [1.0], "damping": [1.0]})
+
+
+def test_many_models_at_once():
+    """Scattered stiffness by `vmap`, against numpy one by one."""
+    scatter = 2.0 + 0.1 * np.random.default_rng(2).normal(size=5)
+
+    def growth(k):
+        modes = complex_modes(small(stiffness_x=k, damping_x=0.1, friction=1.2))
+        return jnp.nanmax(modes.growth_rate)
+
+    found = jax.jit(jax.vmap(growth))(jnp.asarray(scatter))
+    for k, value in zip(scatter, found, strict=True):
+        A = [[0, 0, 1, 0], [0, 0, 0, 1], [-k, 0.7, -0.1, 0], [-0.5, -1, 0, 0]]
+        assert abs(np.linalg.eigvals(A).real.max() - value) < 1e-12
