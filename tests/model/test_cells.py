@@ -150,25 +150,25 @@ def test_a_block_tridiagonal_system_is_solved(n, ends, sweeps):
     D = entries(1.0, np.ones((m, m)))
     for i in range(m):
         D[i][i] = D[i][i] + 6.0
-    sides = [entries(1.0, [[0, 0, 0], [1, 0, 1], [1, 0, 0]]) for _ in range(2)]
+    left, right = (entries(1.0, [[0, 0, 0], [1, 0, 1], [1, 0, 0]]) for _ in range(2))
     dense = np.zeros((m, n, m, n))
-    for part, offset in ((D, 0), (sides[0], -1), (sides[1], 1)):
+    for part, offset in ((D, 0), (left, -1), (right, 1)):
         for k, i, j in np.ndindex(n, m, m):
             if part[i][j] is not None and (ends == "cyclic" or 0 <= k + offset < n):
                 dense[i, k, j, (k + offset) % n] += part[i][j][k]
-    dense, right = dense.reshape(m * n, -1), rng.normal(size=(m, n))
-    matrix = BlockTridiagonal(D, *sides, ends)
+    dense, rhs = dense.reshape(m * n, -1), rng.normal(size=(m, n))
+    matrix = BlockTridiagonal(D, left, right, ends)
     np.testing.assert_array_equal(matrix.to_dense(n), dense)
     np.testing.assert_allclose(matrix.shift(2.0).to_dense(n), 2.0 * np.eye(m * n) - dense)
-    product = jnp.concatenate(matrix @ list(jnp.asarray(right)))
-    np.testing.assert_allclose(product, dense @ right.ravel(), atol=1e-13)
+    product = jnp.concatenate(matrix @ list(jnp.asarray(rhs)))
+    np.testing.assert_allclose(product, dense @ rhs.ravel(), atol=1e-13)
     solve, rho, pivots = matrix.solver(sweeps)
     assert rho is None or float(rho) < 1.0
     # LU of one block without pivoting: the pivots are the ratios of its leading minors.
     minors = [np.linalg.det(dense.reshape(m, n, m, n)[:k, 0, :k, 0]) for k in range(m + 1)]
     np.testing.assert_allclose([p[0] for p in pivots], np.divide(minors[1:], minors[:-1]))
-    wanted = np.linalg.solve(dense, right.ravel())
-    found = jnp.concatenate(solve(list(jnp.asarray(right))))
+    wanted = np.linalg.solve(dense, rhs.ravel())
+    found = jnp.concatenate(solve(list(jnp.asarray(rhs))))
     np.testing.assert_allclose(found, wanted, atol=1e-12)
 
 
