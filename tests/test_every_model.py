@@ -69,8 +69,8 @@ def by_scipy(name, t1=END, stiffness=1.0, damping=0.1, start=(1.9, 0.2), t0=0.0)
     def lets_go(t, y, mode):
         return 1.0 - abs(pull(t, y))
 
-    lands.terminal = lets_go.terminal = True
-    lands.direction = lets_go.direction = -1
+    for event in (lands, lets_go):
+        vars(event).update(terminal=True, direction=-1)
     t, y, stuck, released = t0, np.array(start), 0.0, []
     mode = None if "smoothed" in name else np.sign(y[1] - speed)
     while t < t1:
@@ -133,9 +133,9 @@ def continues_a_cycle(name, model):
     cycle = cycle_of(name)
     if model.dry:
         with pytest.raises(ValueError, match="dry friction"):
-            continue_cycle(cycle, "belt_speed", (1.2, 1.4))
+            continue_cycle(cycle, bounds=(1.2, 1.4))
         return
-    branch = continue_cycle(cycle, "belt_speed", (1.2, 1.4), max_points=5)
+    branch = continue_cycle(cycle, bounds=(1.2, 1.4), max_points=5)
     k = len(branch.parameter) - 1
     assert branch.parameter[k] != SPEED
     there = model.with_(belt_speed=branch.parameter[k])
@@ -162,7 +162,7 @@ def hopf_speed(name):
         tanh = np.tanh(speed / WIDTH)
         return 0.1 + slope * tanh + mu(speed) * (1 - tanh**2) / WIDTH
 
-    return brentq(damping, 0.5, 2.0, xtol=1e-14)
+    return float(brentq(damping, 0.5, 2.0, xtol=1e-14))  # pyright: ignore[reportArgumentType]
 
 
 def finds_the_hopf_point(name, model):
@@ -172,14 +172,15 @@ def finds_the_hopf_point(name, model):
         return
     found = find_hopf_point(model, "belt_speed", START)
     assert float(found.value) == pytest.approx(hopf_speed(name), abs=1e-11)
-    branch = continue_equilibrium(model, "belt_speed", (1.0, 1.5), START)
+    branch = continue_equilibrium(model, START, "belt_speed", (1.0, 1.5))
     (hopf,) = [point for point in branch.special if point.kind == "hopf"]
     assert float(hopf.p) == pytest.approx(hopf_speed(name), abs=1e-6)
 
 
 def finds_exponents(name, model):
     cycle = cycle_of(name)
-    found = lyapunov_spectrum(model, cycle.state, 40 * float(cycle.period))
+    period = float(cycle.period)
+    found = lyapunov_spectrum(model, cycle.state, 60 * period, transient=20 * period)
     if "forced" in name:
         assert found.exponents[0] < -0.05
     else:
@@ -231,7 +232,11 @@ FUNCTIONS = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", MODELS)
+# Other tests hold chains to all of these.
+NAMES = [pytest.param(n, marks=pytest.mark.long if "chain" in n else ()) for n in MODELS]
+
+
+@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
 def test_every_function_works_for_every_model(function, name):
     function(name, MODELS[name])

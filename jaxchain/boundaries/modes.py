@@ -330,7 +330,8 @@ def _modes(
     result = jax.vmap(outcome)(root.value, points, root.result)
     good = result == SearchResult.successful
     lam, V, slopes, y = jax.vmap(at)(root.value, values)
-    order, mac = _followed(*map(lax.stop_gradient, (lam, V, slopes, points)), good)
+    fixed: Any = lax.stop_gradient((lam, V, slopes, points))
+    order, mac = _followed(*fixed, good)
     lam, slopes = (jnp.take_along_axis(a, order, 1) for a in (lam, slopes))
     V = jnp.swapaxes(jnp.take_along_axis(V, order[:, None, :], 2), 1, 2)  # (k, modes, mn)
     half = V[..., : max(1, m // 2) * state[0].size]

@@ -92,7 +92,7 @@ def as_parameter(model: AbstractField, name: Any, title: str = "parameter") -> F
     numbers = model.numbers()
     known = sorted(k for k, value in numbers.items() if np.shape(value) == ())
     if not isinstance(name, str) or name not in known:
-        shape = np.shape(numbers.get(name)) if isinstance(name, str) else ()
+        shape = np.shape(numbers.get(name, 0.0)) if isinstance(name, str) else ()
         entry = ", ".join(["0"] * len(shape))
         raise ValueError(
             f"Argument `{title}` must be one of {known}, the numbers of the model that are the "

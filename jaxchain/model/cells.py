@@ -23,7 +23,7 @@ from .._checks import check_known, to_float
 from .._final import refuse_overrides, require_signature
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
-from .entries import array_of, entry
+from .entries import array_of, entry, with_entries
 from .friction import AbstractFriction, AbstractFrictionLaw
 from .locality import CELLS_FINAL, Dependence, check_cells, dependence
 from .parameters import Parameter
@@ -184,7 +184,7 @@ class AbstractField(PrintedAsCall, eqx.Module):
         pairs = [neighbours(part, ends) for part in y]
         return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
 
-    def excess_force(self, t: ScalarLike, left: State, own: State, right: State) -> PerMass:
+    def excess_force(self, t: Any, left: State, own: State, right: State) -> PerMass:
         """The force on a mass minus the greatest friction force; negative if friction can hold it.
 
         A mass does not stick if this is positive.

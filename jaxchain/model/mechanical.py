@@ -387,7 +387,7 @@ class MechanicalCells(AbstractCells):
         """The speed of greatest friction, 0 if it is dry; None without friction."""
         return None if self.friction is None else self.friction.stick_speed()
 
-    def excess_force(self, t: ScalarLike, left: State, own: State, right: State) -> PerMass:
+    def excess_force(self, t: Any, left: State, own: State, right: State) -> PerMass:
         """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry."""
         if not isinstance(self.friction, TanhFriction):
             return super().excess_force(t, left, own, right)
@@ -406,7 +406,8 @@ class MechanicalCells(AbstractCells):
         if self.friction is None:
             return None
         u = self.sliding
-        held: Any = _entries(self.stiffness, self.d)[u][u]
+        matrix = self._matrix("stiffness")
+        held: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
         share: Any = self.compliance()[u]
         nominal = jnp.max(self.normal_load)
         unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(held > 0, held, 1.0)))

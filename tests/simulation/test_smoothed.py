@@ -65,8 +65,8 @@ def test_a_gradient_holds_along_the_steps_of_the_forward_derivative():
 def test_steps_that_are_taken_again_lead_to_the_same_end(recorded):
     """Also where only the first ones are recorded; here an observer ends the run."""
     chain = paper_chain(1, belt_speed=1.3)
-    watch = [Amplitude(5.0, "steady", tolerance=0.5)]
-    plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan(watch, 200.0)
+    watch = Amplitude(5.0, "steady", tolerance=0.5)
+    plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan([watch], 200.0)
     begun = plan.begin(chain, equation_8(chain, 1), 0.0, 200.0)
 
     @jax.jit
