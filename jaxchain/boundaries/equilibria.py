@@ -357,7 +357,7 @@ def equilibria_over(
 
     def follow(u: Array, p: Array) -> tuple[Array, Any]:
         field = rates.at(None if rates.parameter is None else p)
-        at_p = Rates(field, rates.m, None, rates.direction)
+        at_p = Rates.of(field, rates.m)  # a belt may change its direction
         root = search(_residual, u, at_p, tolerance, limit, weights)
         return jnp.where(root.successful, root.value, u), root
 

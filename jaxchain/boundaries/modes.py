@@ -330,8 +330,8 @@ def _modes(
     result = jax.vmap(outcome)(root.value, points, root.result)
     good = result == SearchResult.successful
     lam, V, slopes, y = jax.vmap(at)(root.value, values)
-    fixed: Any = lax.stop_gradient((lam, V, slopes, points))
-    order, mac = _followed(*fixed, good)
+    fixed = [lax.stop_gradient(a) for a in (lam, V, slopes)]
+    order, mac = _followed(fixed[0], fixed[1], fixed[2], points, good)
     lam, slopes = (jnp.take_along_axis(a, order, 1) for a in (lam, slopes))
     V = jnp.swapaxes(jnp.take_along_axis(V, order[:, None, :], 2), 1, 2)  # (k, modes, mn)
     half = V[..., : max(1, m // 2) * state[0].size]
@@ -343,7 +343,8 @@ def _modes(
         """NaN for the conjugate of another column, and also of derivatives without a state."""
         more = (None,) * (table.ndim - 2)
         found = if_found(good[(slice(None), None, *more)], table)
-        return jnp.where(oscillates[(..., *more)], found, jnp.nan)
+        nothing = complex(np.nan, np.nan) if jnp.iscomplexobj(table) else np.nan
+        return jnp.where(oscillates[(..., *more)], found, nothing)
 
     return ComplexModes(
         chain=model,

@@ -428,7 +428,7 @@ class MechanicalCells(AbstractCells):
         left, right = self.neighbours(y)
         return self.free_acceleration(t, left, y, right)
 
-    def free_acceleration(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
+    def free_acceleration(self, t: Any, left: State, own: State, right: State) -> Parts:
         """M^{-1} h, the accelerations without friction."""
         d = self.d
         q, v = own[:d], own[d:]

@@ -1,10 +1,12 @@
 """Equilibria and Hopf points with dry friction: closed forms, NumPy, SciPy, runs that stay."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import brentq
+from scipy import optimize
 
 from jaxchain import (
     ExponentialDecay,
@@ -23,6 +25,7 @@ from jaxchain.boundaries import (
 )
 from jaxchain.model import MechanicalCells, stiffness_matrix
 
+brentq: Any = optimize.brentq
 # p mu(s) = p (.5 + .5 exp(-2 s)) and its slope.
 friction = lambda s: 0.5 + 0.5 * np.exp(-2 * s)  # noqa: E731
 weakening = lambda s: -np.exp(-2 * s)  # noqa: E731
@@ -66,7 +69,7 @@ def stays(model, state):
 @pytest.mark.parametrize("speed", [1.3, -1.3])
 def test_masses_slide_at_the_closed_form(speed):
     chain, matrix = UNEQUAL.with_(belt_speed=speed), np.asarray(stiffness_matrix(UNEQUAL))
-    found = find_equilibrium(chain, (jnp.ones(3), jnp.full(3, 2 * speed)))  # beyond the belt
+    found: Any = find_equilibrium(chain, (jnp.ones(3), jnp.full(3, 2 * speed)))  # beyond the belt
     x = np.linalg.solve(matrix, np.sign(speed) * LOAD * friction(1.3))
     np.testing.assert_allclose(found.state, [x, 0 * x], atol=1e-13)
     damping = np.diag(2 * DAMPING + LOAD * weakening(1.3))
@@ -82,7 +85,7 @@ def test_masses_slide_at_the_closed_form(speed):
 
 def test_cells_with_a_nonlinear_spring_slide_where_scipy_balances_them():
     for speed in (1.2, 0.1):
-        found = find_equilibrium(CELLS.with_(belt_speed=speed), REST)
+        found: Any = find_equilibrium(CELLS.with_(belt_speed=speed), REST)
         q = position(0.7 * friction(speed))
         np.testing.assert_allclose(np.ravel(found.state), [*q, 0, 0], atol=1e-12)
         values = cell_eigenvalues(speed)
@@ -94,7 +97,7 @@ def test_cells_with_a_nonlinear_spring_slide_where_scipy_balances_them():
 def test_on_a_belt_that_stands_still_masses_stick_in_an_interval():
     chain, matrix = UNEQUAL.with_(belt_speed=0.0), np.asarray(stiffness_matrix(UNEQUAL))
     inside = jnp.array([0.3, -0.5, 0.9]), jnp.zeros(3)
-    found = find_equilibrium(chain, inside)
+    found: Any = find_equilibrium(chain, inside)
     assert bool(found.sticking)
     assert found.stable
     np.testing.assert_array_equal(found.state, inside)  # friction holds them there
@@ -120,7 +123,7 @@ def test_on_a_belt_that_stands_still_masses_stick_in_an_interval():
 def test_one_contact_of_several_displacements_sticks_in_an_interval():
     cells = CELLS.with_(belt_speed=0.0)
     start = (jnp.array([5.0]), jnp.array([0.2]), *REST[2:])
-    found = find_equilibrium(cells, start)
+    found: Any = find_equilibrium(cells, start)
     # The first displacement is free: K q = 0 in its row.
     np.testing.assert_allclose(np.ravel(found.state), [-0.08, 0.2, 0, 0], atol=1e-15)
     assert stays(cells, found.state)
@@ -138,7 +141,7 @@ def test_one_contact_of_several_displacements_sticks_in_an_interval():
     # A share of the load moves the end, and no mass that is held.
     end_slope, held_slope = jax.jacfwd(
         lambda p: (
-            find_equilibrium(cells.with_(normal_load=p), start).interval[1, 0],
+            np.asarray(find_equilibrium(cells.with_(normal_load=p), start).interval)[1, 0],
             find_equilibrium(cells.with_(normal_load=p), start).state[1][0],
         )
     )(0.7)
