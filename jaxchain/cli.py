@@ -540,7 +540,7 @@ def _answer(values: Any, reasons: Any, more: Any, parameters: Any) -> dict[str, 
 
 
 def _parameters(chain: Any, names: tuple[str, ...]) -> dict[str, float | None]:
-    numbers = {name: chain.numbers().get(name) for name in names}
+    numbers = {name: chain.parameters().get(name) for name in names}
     return {name: None if value is None else float(value) for name, value in numbers.items()}
 
 

@@ -14,8 +14,13 @@ from systems.oscillators import Rayleigh, VanDerPol
 
 import jaxchain as jc
 from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
-from jaxchain.boundaries import dry_fold_belt_speed
-from jaxchain.model import AbstractCells, AbstractFrictionLaw, AbstractOscillators
+from jaxchain.boundaries import dry_fold_belt_speed, find_equilibrium
+from jaxchain.model import (
+    AbstractCells,
+    AbstractFrictionLaw,
+    AbstractModel,
+    AbstractOscillators,
+)
 from jaxchain.observers import AbstractObserver, Divergence, Variable
 from jaxchain.simulation.method import fit_linear_solve
 from jaxchain.solvers import AbstractStructuredRosenbrock
@@ -28,7 +33,7 @@ CLASSES = sorted(
     (c for c in PUBLIC if inspect.isclass(c) and not issubclass(c, BaseException)),
     key=lambda c: c.__name__,
 )
-OPEN = [c for c in CLASSES if c.__name__.startswith("Abstract")]
+OPEN = [c for c in CLASSES if c.__name__.startswith("Abstract") and c is not AbstractModel]
 HONOURED: dict[type, set[str]] = {}
 
 
@@ -216,6 +221,25 @@ class Slow(AbstractOscillators):
 
     def stiffness_diagonal(self, n):
         return 1.0
+
+
+class TwoWells(AbstractCells):
+    n = 3
+    components = ("x", "v")
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, x - x**3 - 0.1 * v
+
+    def equilibrium(self):
+        return jnp.full(3, 0.8), jnp.zeros(3)
+
+
+@honours(AbstractModel, "n", "equilibrium")
+def test_the_number_of_cells_and_the_equilibrium_of_a_model_are_used():
+    with pytest.raises(ValueError, match="but for 3 masses must be"):
+        jc.simulate(TwoWells(), (jnp.ones(2), jnp.ones(2)), 1.0)
+    assert find_equilibrium(TwoWells()).state[0] == pytest.approx(1.0)  # not that at 0
 
 
 class Told(Slow):

@@ -30,9 +30,9 @@ from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass
-from ..model.cells import AbstractField
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site
+from ..model.model import AbstractModel
 from ..model.sliding import growth_rate
 from ..observers.amplitude import Amplitude
 from ..observers.base import AbstractObserver, Step
@@ -110,7 +110,7 @@ class DecayOrVibrate(AbstractObserver):
     radius: Float[Array, ""]
     patience: Float[Array, ""]
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watched:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watched:
         del t1
         never = jnp.full_like(y0[0], -jnp.inf)
         since = jnp.zeros_like(y0[0]) + t0
@@ -527,7 +527,7 @@ def some_starts(m: int, equal: bool, random: int) -> Float[np.ndarray, "chunks l
 
 def is_ring_of_equals(chain: Chain) -> bool:
     """Whether the chain is invariant under rotation, judged by the shapes of its numbers."""
-    alike = all(a is None or jnp.ndim(a) == 0 for a in chain.numbers().values())
+    alike = all(a is None or jnp.ndim(a) == 0 for a in chain.parameters().values())
     return alike and (chain.springs is None or chain.ends == "cyclic")
 
 

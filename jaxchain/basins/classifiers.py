@@ -33,7 +33,7 @@ from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver, Step, Variable, renamed
 from ..observers.quantities import active_above
 from ..result import Printed
@@ -228,7 +228,7 @@ class VibratingMasses(AbstractClassifier):
     def patient(self) -> VibratingMasses:
         return eqx.tree_at(lambda c: c.calm, self, jnp.asarray(jnp.inf))
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Looking:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Looking:
         del t1
         x = field.value_and_rate(t0, y0, self.component)[0]
         if self.above is None:
@@ -368,7 +368,7 @@ class VibratingMasses(AbstractClassifier):
 
 def _check_alike(chain: Any) -> None:
     """Raises unless the chain is invariant under rotation, or reflection with free ends."""
-    for name, value in chain.numbers().items():
+    for name, value in chain.parameters().items():
         if value is not None and np.ndim(value) > 0 and np.ptp(np.asarray(value)) > 0:
             raise ValueError(
                 'Argument `by` = "ring" takes rotated patterns for one state, but the masses or '

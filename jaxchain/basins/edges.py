@@ -22,8 +22,8 @@ from .._types import State
 from ..cycles.floquet import LimitCycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractField
 from ..model.chain import Chain
+from ..model.model import AbstractModel
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import active
 from ..observers.samples import Samples
@@ -399,7 +399,7 @@ class EdgeState(Outcome):
     """
 
     may_be_missing = ("period", "gap", "times", "amplitudes", "distances")
-    chain: AbstractField
+    chain: AbstractModel
     state: State
     below: State
     above: State
@@ -435,7 +435,7 @@ class EdgeState(Outcome):
 
 
 def edge_state(
-    chain: AbstractField,
+    chain: AbstractModel,
     quiet: Any,
     vibrating: Any,
     *,
@@ -514,7 +514,7 @@ def edge_state(
     if classify is None:
         as_chain(chain, remedy="give `classify` for other models.")
     else:
-        as_chain(chain, AbstractField)
+        as_chain(chain, AbstractModel)
         check_kind("classify", classify, AbstractClassifier, "None or an `AbstractClassifier`")
     quiet, vibrating = as_state(chain, quiet, "quiet"), as_state(chain, vibrating, "vibrating")
     check_force(chain, quiet)
@@ -570,7 +570,7 @@ def _count(time: Any, window: Any) -> int:
 
 
 @eqx.filter_jit
-def _edge(chain: AbstractField, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
+def _edge(chain: AbstractModel, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
     frozen, quiet, vibrating = nondifferentiable(
         (chain, quiet, vibrating),
         msg="`edge_state` has no derivatives: find the edge state outside the differentiated "
@@ -622,7 +622,7 @@ def _edge(chain: AbstractField, quiet: State, vibrating: State, how: Tracking) -
 
 
 def _last(
-    chain: AbstractField, state: State, mass: Array, how: Tracking
+    chain: AbstractModel, state: State, mass: Array, how: Tracking
 ) -> tuple[Array, Array, Array, Array]:
     """(amplitudes, period, closing error, whether the runs succeeded).
 

@@ -35,8 +35,8 @@ from .._final import final
 from .._printing import PrintedAsCall
 from .._types import State
 from ..model.arguments import as_chain
-from ..model.cells import AbstractField
 from ..model.chain import Chain, steady_sliding
+from ..model.model import AbstractModel
 
 _EDGES = "give (low, high), as (-2, 2)."
 _STATE = "give m arrays of shape (n,), one for each number of a cell."
@@ -94,11 +94,11 @@ class AbstractRegion(PrintedAsCall, eqx.Module):
     """
 
     @abc.abstractmethod
-    def dimension(self, chain: AbstractField) -> int:
+    def dimension(self, chain: AbstractModel) -> int:
         """The dimension of the cube."""
 
     @abc.abstractmethod
-    def start(self, chain: AbstractField, point: Float[Array, " dimension"]) -> State:
+    def start(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> State:
         """The state of a point of the cube: (x, v), both of shape (n,), or all m arrays."""
 
 
@@ -296,11 +296,11 @@ class Ranges(AbstractRegion):
                 "everywhere and low < high somewhere."
             )
 
-    def dimension(self, chain: AbstractField) -> int:
+    def dimension(self, chain: AbstractModel) -> int:
         del chain
         return sum(part.size for part in self.low)
 
-    def start(self, chain: AbstractField, point: Float[Array, " dimension"]) -> State:
+    def start(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> State:
         del chain
         shares = jnp.split(point, len(self.low))
         ranges = zip(self.low, self.high, shares, strict=True)
@@ -333,11 +333,11 @@ class Sampler(AbstractRegion):
         check_function("function", self.function, "(chain, point) -> (x, v)", 2)
         check_whole("points", self.points, remedy="it is the length of a point.")
 
-    def dimension(self, chain: AbstractField) -> int:
+    def dimension(self, chain: AbstractModel) -> int:
         del chain
         return self.points
 
-    def start(self, chain: AbstractField, point: Float[Array, " dimension"]) -> Any:
+    def start(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> Any:
         return self.function(chain, point)
 
 

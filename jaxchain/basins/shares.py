@@ -34,7 +34,7 @@ from .._statistics import student_reach, wilson
 from .._types import ScalarLike, State
 from ..chaos.classification import verdicts
 from ..model.arguments import as_chain
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
 from ..sweeps.lanes import RunStarts, with_numbers
@@ -101,7 +101,7 @@ def of_replicates(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray
 class Tally:
     """All runs so far; states are numbered in the order in which they were found."""
 
-    def __init__(self, classify: AbstractClassifier, chain: AbstractField):
+    def __init__(self, classify: AbstractClassifier, chain: AbstractModel):
         self.classify, self.chain = classify, chain
         self.codes: list[np.ndarray] = []
         self._numbers: dict[bytes, int] = {}
@@ -186,7 +186,7 @@ class _From(eqx.Module):
 
     region: Any
 
-    def __call__(self, chain: AbstractField, point: Float[Array, " dimension"]) -> State:
+    def __call__(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> State:
         return self.region.start(chain, point)
 
 
@@ -194,7 +194,7 @@ class Runs:
     """The runs from points of a region, at every combination of the parameters."""
 
     def __init__(
-        self, chain: AbstractField, region: Any, n: int, over: Mapping[str, Any], classify: Any,
+        self, chain: AbstractModel, region: Any, n: int, over: Mapping[str, Any], classify: Any,
         t1: Any, progress: bool, numerics: dict[str, Any],
     ):  # fmt: skip
         self.chain, self.over, self.classify, self.t1 = chain, over, classify, t1
@@ -527,7 +527,7 @@ def basin_shares(
         >>> bool(sliding.low < 0.307126 < sliding.high)  # what `sliding_share` says
         True
     """
-    chain = as_chain(chain, AbstractField)
+    chain = as_chain(chain, AbstractModel)
     check_concrete(
         "shares are counted on the host; `sliding_share` has derivatives.", chain=chain, over=over
     )

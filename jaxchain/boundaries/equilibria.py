@@ -38,8 +38,8 @@ from ..continuation.branch import Branch, Labels, joined
 from ..continuation.damped_newton import check_tolerance, search
 from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_chain, as_parameter, as_state
-from ..model.cells import AbstractField
 from ..model.locality import check_autonomous
+from ..model.model import AbstractModel
 from ..result import Outcome, SearchResult, is_one
 from ..solvers.dry_friction import BACKWARD, FORWARD, STICK, free_force, motion
 
@@ -67,7 +67,7 @@ class Equilibrium(Outcome):
     """
 
     may_be_missing = ("interval",)
-    chain: AbstractField
+    chain: AbstractModel
     state: State
     eigenvalues: Complex[Array, " mn"]
     residual: Float[Array, ""]
@@ -106,7 +106,7 @@ class HopfPoint(Outcome):
     See `find_hopf_point` for an example.
     """
 
-    chain: AbstractField
+    chain: AbstractModel
     value: Float[Array, ""]
     state: State
     frequency: Float[Array, ""]
@@ -140,7 +140,7 @@ class Rates(eqx.Module):
     `direction` of dry friction: that of sliding masses, or STICK; None for a smooth model.
     """
 
-    field: AbstractField
+    field: AbstractModel
     m: int = eqx.field(static=True)
     parameter: str | None = eqx.field(static=True, default=None)
     direction: Float[Array, ""] | None = None
@@ -151,7 +151,7 @@ class Rates(eqx.Module):
         direction = lax.stop_gradient(jnp.sign(-field.belt_speed)) if field.dry else None
         return cls(field, m, parameter, direction)
 
-    def at(self, p: Any = None) -> AbstractField:
+    def at(self, p: Any = None) -> AbstractModel:
         """The model, with the number set to p."""
         return self.field if p is None else self.field.with_(**{str(self.parameter): p})
 
@@ -275,7 +275,7 @@ def find_equilibrium(
     return found
 
 
-def near_equilibrium(model: AbstractField, guess: Any) -> State:
+def near_equilibrium(model: AbstractModel, guess: Any) -> State:
     """The guess; for None the closed form of the model, or zeros."""
     if guess is None:
         guess = model.equilibrium() or (jnp.zeros(model.n or 1),) * len(model.variables)
@@ -283,7 +283,7 @@ def near_equilibrium(model: AbstractField, guess: Any) -> State:
 
 
 def _checked(chain: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[State, int]:
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     state = near_equilibrium(chain, guess)
     check_autonomous(chain, state)
     if chain.dry:  # beyond the speed of the belt a law need not be defined
@@ -656,7 +656,7 @@ def continue_equilibrium(
         [('hopf', 1.151293)]
     """
     check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     p = float(as_parameter(chain, parameter))
     _check_sliding(chain)
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
@@ -714,7 +714,7 @@ def continue_equilibrium(
     )
 
 
-def labels_of(chain: AbstractField, m: int, name: str) -> Labels:
+def labels_of(chain: AbstractModel, m: int, name: str) -> Labels:
     """Of a branch of equilibria."""
     parts = [chain.variable(i) for i in range(m)]
     attrs = {part.name: {"long_name": part.long_name, "units": part.unit} for part in parts}

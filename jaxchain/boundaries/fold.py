@@ -48,9 +48,9 @@ from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, u
 from ..cycles.shooting import Shooting
 from ..cycles.variational import Sensitivity, flow, forward_sensitivity
 from ..model.arguments import as_chain
-from ..model.cells import AbstractField
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
+from ..model.model import AbstractModel
 from ..model.parameters import parameter
 from ..model.sliding import damping_outweighs
 from ..result import SEARCH_NAMES, Outcome, SearchResult, code
@@ -273,7 +273,7 @@ def value_and_jacobian(
     """The residual, and its derivatives in `point`."""
 
     def half(part: Array) -> Sensitivity:
-        def make(point: Array) -> tuple[AbstractField, State, Array]:
+        def make(point: Array) -> tuple[AbstractModel, State, Array]:
             field, state, period = shooting.unpack(*unknowns(shooting, point))
             return field, state, part * period
 

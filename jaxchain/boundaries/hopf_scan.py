@@ -226,7 +226,7 @@ def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> Gener
     if chain.n != 1:
         raise ValueError(f"Argument `chain` must have one mass, but has {chain.n}.")
     per_mass = [name for name, row in CHAIN.items() if row.per == "mass"]
-    names = {*per_mass, *chain.friction.numbers(), "width"}
+    names = {*per_mass, *chain.friction.parameters(), "width"}
     check_one_of("parameter", parameter, sorted(names))
     for name, end in (("low", low), ("high", high)):
         check_positive_number(name, end, "the values in between are spaced by their logarithm.")

@@ -22,8 +22,8 @@ from .._types import State
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_chain, as_parameter
-from ..model.cells import AbstractField
 from ..model.locality import check_autonomous
+from ..model.model import AbstractModel
 from ..model.provenance import circumstances, parameters_of
 from ..result import Outcome, SearchResult
 from .equilibria import Rates, equilibria_over, labels_of, near_equilibrium
@@ -55,7 +55,7 @@ class ComplexModes(Outcome):
     See `complex_modes` for an example.
     """
 
-    chain: AbstractField
+    chain: AbstractModel
     values: Float[Array, " k"]
     state: tuple[Float[Array, "k n"], ...]
     eigenvalues: Complex[Array, "k modes"]
@@ -256,7 +256,7 @@ def complex_modes(
         >>> print(modes.growth_rate.max(axis=1).round(3) + 0.0)
         [0.    0.    0.091]
     """
-    as_chain(model, AbstractField)
+    as_chain(model, AbstractModel)
     state = near_equilibrium(model, guess)
     check_autonomous(model, state)
     limit = check_tolerance(tolerance, max_steps)

@@ -67,8 +67,8 @@ from ..cycles.phases import Phases, phases_of, slip_phases
 from ..cycles.shooting import Shooting
 from ..cycles.symmetry import Symmetry
 from ..model.arguments import as_chain, as_mass, as_parameter
-from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
+from ..model.model import AbstractModel
 from ..model.parameters import parameter
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import Amplitude
@@ -202,7 +202,7 @@ class _CycleEquations(eqx.Module):
         return _of_pair(left @ lax.complex(images[:, :2], images[:, 2:]), kappa)
 
     @property
-    def field(self) -> AbstractField:
+    def field(self) -> AbstractModel:
         """The model."""
         return self.shooting.field
 
@@ -360,7 +360,7 @@ class _HopfEquations(eqx.Module):
         return np.append(np.full(m, m**-0.5), _relative(U[m:]))
 
     @property
-    def field(self) -> AbstractField:
+    def field(self) -> AbstractModel:
         """The model."""
         return self.rates.field
 
@@ -508,7 +508,7 @@ def find_special_cycle(
     else:
         equations, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
     model = equations.field
-    chain = model if chain is None else as_chain(chain, AbstractField)
+    chain = model if chain is None else as_chain(chain, AbstractModel)
     check_kind("chain", chain, type(model), "the model of `point`", "change its numbers.")
     if equations.dry:
         chain = chain.with_(width=None)
@@ -729,7 +729,7 @@ class SpecialCurve(Printed):
         )
 
     @property
-    def chain(self) -> AbstractField:
+    def chain(self) -> AbstractModel:
         """The model, with the numbers of the point that the curve was started from."""
         return self.equations[0].field
 

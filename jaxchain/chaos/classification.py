@@ -34,7 +34,7 @@ from .._statistics import mean_interval
 from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
 from ..observers.samples import Samples
@@ -547,7 +547,7 @@ class _VerdictTask(eqx.Module):
     `forced`: the period of the force, or None.
     """
 
-    chain: AbstractField
+    chain: AbstractModel
     solver: Any
     window: Array
     time: Array
@@ -765,7 +765,7 @@ _INSTEAD = "use `lyapunov_spectrum` or `simulate`."
 _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
-def verdict(chain: AbstractField, initial: Any, **settings: Any) -> Verdict:
+def verdict(chain: AbstractModel, initial: Any, **settings: Any) -> Verdict:
     """Whether the motion from `initial` is steady, periodic, quasi-periodic or chaotic.
 
     **Arguments:** `chain`; `initial`, the pair (x, v), both of shape (n,), or all m arrays of
@@ -787,14 +787,14 @@ def verdict(chain: AbstractField, initial: Any, **settings: Any) -> Verdict:
         >>> print(found.reason)  # a mass that sticks forgets everything
         7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     check_concrete(_INSTEAD, chain=chain, initial=initial)
     state = as_state(chain, initial)
     return verdicts(chain, tuple(part[None] for part in state), **settings)[0]
 
 
 def verdicts(
-    chain: AbstractField,
+    chain: AbstractModel,
     initials: Any,
     *,
     noise: Sequence[float] = (1e-8, 1e-3),
@@ -861,7 +861,7 @@ def verdicts(
         >>> [one.verdict for one in found]
         ['steady sliding', 'periodic']
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     criteria = Criteria() if criteria is None else criteria
     check_kind("criteria", criteria, Criteria, "None or `Criteria`", "`Criteria()` has them.")
     check_concrete(_INSTEAD, chain=chain, initials=initials)

@@ -32,8 +32,8 @@ from .._progress import progress_bar
 from .._statistics import student_reach
 from .._types import State
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractField
 from ..model.chain import Chain
+from ..model.model import AbstractModel
 from ..observers.energy_balance import Divergence
 from ..observers.stick_time import MostSticking
 from ..result import NAMES, Printed, Result, code, ended_well, message
@@ -238,7 +238,7 @@ def _sticking(plan: AbstractPlan, progress: Progress) -> Any:
 
 
 def advance_frame(
-    plan: AbstractPlan, field: AbstractField, frame: Frame, t1: Any, max_steps: int | None
+    plan: AbstractPlan, field: AbstractModel, frame: Frame, t1: Any, max_steps: int | None
 ) -> tuple[Frame, Float[Array, "two_n count"]]:
     """(the run at t1 with the old basis; the images of the basis there).
 
@@ -264,7 +264,7 @@ def advance_frame(
 @eqx.filter_jit
 def advance_span(
     plan: AbstractPlan,
-    field: AbstractField,
+    field: AbstractModel,
     frame: Frame,
     span: Interval,
     max_steps: int | None,
@@ -413,7 +413,7 @@ def lyapunov_spectrum(
         print(found.exponents, found.low, found.high, found.chaotic())
         ```
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     state = as_state(chain, initial)
     chosen = Method.of(
         method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
@@ -493,7 +493,7 @@ def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Interval:
 @eqx.filter_jit
 def _begin(
     plan: AbstractPlan,
-    chain: AbstractField,
+    chain: AbstractModel,
     state: State,
     window: tuple[Array, Array, Array],
     seed: Any,
@@ -548,7 +548,7 @@ def _read(frame: Frame, growth: Growth, spans: Interval) -> LyapunovSpectrum:
     )
 
 
-def _stiffest_rate(model: AbstractField, state: State, count: int) -> Array | None:
+def _stiffest_rate(model: AbstractModel, state: State, count: int) -> Array | None:
     """The rate at which smoothed friction makes a contact stick, if the exponents include it."""
     if count <= (len(state) - 1) * len(state[0]):  # all but the last one of each contact
         return None
@@ -556,7 +556,7 @@ def _stiffest_rate(model: AbstractField, state: State, count: int) -> Array | No
     return None if release is None or layer is None else jnp.max(release) / jnp.min(layer[1])
 
 
-def _usual_interval(model: AbstractField, state: State, count: int, rate: Array | None) -> Any:
+def _usual_interval(model: AbstractModel, state: State, count: int, rate: Array | None) -> Any:
     chain = isinstance(model, Chain)
     if rate is None:
         return _PERIOD if chain and count <= (len(state) - 1) * len(state[0]) else 1.0

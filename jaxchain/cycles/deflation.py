@@ -29,9 +29,9 @@ from .._progress import progress_bar
 from .._types import State
 from ..continuation.damped_newton import check_tolerance
 from ..model.arguments import as_chain, as_images, as_mass, as_state
-from ..model.cells import AbstractField
 from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.initial_states import reference_site
+from ..model.model import AbstractModel
 from ..observers.samples import Trajectory
 from ..observers.section import Section
 from ..result import Printed, name_of
@@ -187,7 +187,7 @@ def random_starts(
 
 
 def find_limit_cycles(
-    chain: AbstractField,
+    chain: AbstractModel,
     guesses: Any = 200,
     *,
     known: Iterable[LimitCycle] = (),
@@ -233,7 +233,7 @@ def find_limit_cycles(
         >>> all(cycle.residual < 1e-9 for cycle in search.cycles)
         True
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     require_smoothed(chain, "use `find_limit_cycle`, ")
     check_tolerances(rtol, None, MAX_STEP)
     limit = check_tolerance(tolerance, max_steps)
@@ -315,7 +315,7 @@ def find_limit_cycles(
     return CycleSearch(cycles, np.maximum(np.array(outcomes), -1), failures, gave_up)
 
 
-def _checked_starts(chain: AbstractField, guesses: Any) -> tuple[tuple[Array, ...], np.ndarray]:
+def _checked_starts(chain: AbstractModel, guesses: Any) -> tuple[tuple[Array, ...], np.ndarray]:
     if not isinstance(guesses, tuple | list) or len(guesses) != 2:
         raise ValueError(
             "Argument `guesses` must be (states, periods), or the number of random starts of a "

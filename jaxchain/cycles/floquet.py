@@ -16,9 +16,9 @@ from .._checks import as_array, check_positive_number, is_traced, shown, to_floa
 from .._final import final
 from .._types import State
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
 from ..model.locality import check_autonomous
+from ..model.model import AbstractModel
 from ..observers.quantities import energy
 from ..result import Outcome, Result, SearchResult
 from ..simulation.event_driven import EventDriven
@@ -278,7 +278,7 @@ def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
 
 @eqx.filter_jit
 def _linearised(chain: Any, state: State, period: Array, rtol: Array, solver: Any) -> Period:
-    def make(y: Array) -> tuple[AbstractField, State, Array]:
+    def make(y: Array) -> tuple[AbstractModel, State, Array]:
         return chain, tuple(jnp.split(y, len(state))), period
 
     return linearised_period(make, jnp.concatenate(state), rtol=rtol, solver=solver)
@@ -286,7 +286,7 @@ def _linearised(chain: Any, state: State, period: Array, rtol: Array, solver: An
 
 def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "state") -> State:
     """The state as arrays, or `ValueError`."""
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     parts = as_state(chain, state, name)
     check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
@@ -294,7 +294,7 @@ def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "sta
     return parts
 
 
-def check_force(chain: AbstractField, state: State) -> None:
+def check_force(chain: AbstractModel, state: State) -> None:
     """Raises `ValueError` unless the rate is periodic in time, as `forcing_period` says."""
     forced = chain.forcing_period()
     if forced is None:
@@ -314,7 +314,7 @@ def check_force(chain: AbstractField, state: State) -> None:
             )
 
 
-def turns_of(chain: AbstractField, period: Any) -> int | None:
+def turns_of(chain: AbstractModel, period: Any) -> int | None:
     """The period in periods of the force, or `ValueError`; None where nothing depends on time."""
     forced = chain.forcing_period()
     if forced is None:
@@ -366,7 +366,7 @@ class LimitCycle(Outcome):
     """
 
     may_be_missing = ("liouville_defect",)
-    chain: AbstractField
+    chain: AbstractModel
     state: State
     period: Float[Array, ""]
     residual: Float[Array, ""]

@@ -41,9 +41,10 @@ from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass, as_state
-from ..model.cells import AbstractCells, AbstractField
+from ..model.cells import AbstractCells
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site, release_state
+from ..model.model import AbstractModel
 from ..model.sliding import damping_outweighs, sliding_damping, stiffness_matrix
 from ..observers.amplitude import Amplitude
 from ..observers.base import Step
@@ -106,12 +107,12 @@ def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> A
     return lax.stop_gradient(run.observed)
 
 
-def _solver_of(chain: AbstractField, state: State) -> Any:
+def _solver_of(chain: AbstractModel, state: State) -> Any:
     """The solver of a run that looks for a guess."""
     return custom_solver(chain, None) or choose_solver(chain, 1e-8, state=state)
 
 
-def most_lively(chain: AbstractField, state: State) -> int:
+def most_lively(chain: AbstractModel, state: State) -> int:
     """The mass farthest from sliding, which is assumed to vibrate; n // 2 if traced."""
     if is_traced(chain, state):
         return reference_site(state[0].shape[0])
@@ -120,14 +121,14 @@ def most_lively(chain: AbstractField, state: State) -> int:
     return int(jnp.argmax(sum(apart)))
 
 
-def _cut_at(chain: AbstractField, state: State, mass: Any) -> int:
+def _cut_at(chain: AbstractModel, state: State, mass: Any) -> int:
     if mass is None:
         return most_lively(chain, state)
     return as_mass(state[0].shape[0], mass)
 
 
 def guess_from_simulation(
-    chain: AbstractField,
+    chain: AbstractModel,
     state: State,
     mass: int | None = None,
     *,
@@ -153,7 +154,7 @@ def guess_from_simulation(
     >>> round(float(period), 2)
     6.3
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     state = as_state(chain, state, "state")
     check_number("transient", transient, "200 is usual.")
     check_nonnegative("transient", transient, "200 is usual.")
@@ -177,7 +178,7 @@ def _last_turn(times: Array, *parts: Array) -> Guess:
     return tuple(part[last] for part in parts), period
 
 
-def _forced_guess(chain: AbstractField, state: State, transient: float) -> Guess:
+def _forced_guess(chain: AbstractModel, state: State, transient: float) -> Guess:
     """The state at the end of so many periods of the force, and after how many it comes back."""
     forced = to_float(chain.forcing_period())
     turns = max(2 * _MOST_TURNS, math.ceil(transient / float(forced)))
@@ -187,7 +188,7 @@ def _forced_guess(chain: AbstractField, state: State, transient: float) -> Guess
     return _last_turn(times, *lax.stop_gradient(run.observed))
 
 
-def _at_phase_0(chain: AbstractField, run: Simulation) -> State:
+def _at_phase_0(chain: AbstractModel, run: Simulation) -> State:
     """The state at the end of a run, or at the next multiple of the period of the force."""
     forced = to_float(chain.forcing_period())
     turns = jnp.ceil(run.t / forced - _ROUNDING)
@@ -197,7 +198,7 @@ def _at_phase_0(chain: AbstractField, run: Simulation) -> State:
     return lax.stop_gradient(more.state)
 
 
-def guess_from_point(chain: AbstractField, state: State, period: Any, mass: int) -> State:
+def guess_from_point(chain: AbstractModel, state: State, period: Any, mass: int) -> State:
     """The point of an orbit of known period at which mass `mass` is fastest along the belt.
 
     Nothing is integrated if `state` is such a point; NaN if there is none.
@@ -218,7 +219,7 @@ def guess_from_point(chain: AbstractField, state: State, period: Any, mass: int)
     return tuple(part[fastest] for part in parts)
 
 
-def carried(state: State, before: AbstractField, after: AbstractField) -> State:
+def carried(state: State, before: AbstractModel, after: AbstractModel) -> State:
     """A state of the field `before`, for `after`: a mass that sticks goes with the belt.
 
     If the belt runs the other way, it is the mirror image.
@@ -357,7 +358,7 @@ def _cycle(
 
 @eqx.filter_jit
 def with_derivatives(
-    equations: Any, chain: AbstractField, cycle: LimitCycle, u: Array
+    equations: Any, chain: AbstractModel, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
     """`cycle` with its derivatives in the numbers of `chain`."""
     equations = eqx.tree_at(lambda eqs: eqs.field, equations, chain)
@@ -449,7 +450,7 @@ class _States(eqx.Module):
         """u of a state and a period."""
         return jnp.concatenate([*state, period[None]])
 
-    def unpack(self, u: Array) -> tuple[AbstractField, State, Array]:
+    def unpack(self, u: Array) -> tuple[AbstractModel, State, Array]:
         """(field, state, period)."""
         return self.field, tuple(jnp.split(u[:-1], self.m)), u[-1]
 
@@ -803,7 +804,7 @@ def find_limit_cycle(
         >>> slipping.stable, bool(slipping.scaled_peak_velocity[0] < 0)
         (False, True)
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
@@ -854,7 +855,7 @@ def find_limit_cycle(
 
 
 def resolve_guess(
-    chain: AbstractField, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
+    chain: AbstractModel, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
 ) -> tuple[int, State, Array]:
     """(mass, state on the section, period) from a guess of any kind."""
     check_one_of("branch", branch, ("stable", "unstable"))

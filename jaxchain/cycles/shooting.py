@@ -38,7 +38,7 @@ from jaxtyping import Array, Bool, Float
 from .._checks import to_float
 from .._types import State
 from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
@@ -62,7 +62,7 @@ class Shooting(eqx.Module):
     - `shift`: (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), or None.
     """
 
-    field: AbstractField
+    field: AbstractModel
     rtol: Float[Array, ""] = eqx.field(converter=to_float)
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
     mass: int = eqx.field(static=True)
@@ -113,7 +113,7 @@ class Shooting(eqx.Module):
         """The number of unknowns."""
         return self._starts[-1] + (self.turns is None)
 
-    def at(self, *parameter: Any) -> AbstractField:
+    def at(self, *parameter: Any) -> AbstractModel:
         """The field with the parameter, or several, set."""
         if self.parameter is None:
             return self.field
@@ -135,7 +135,7 @@ class Shooting(eqx.Module):
             numbers.append(jnp.log(to_float(period))[None])
         return jnp.concatenate(numbers)
 
-    def unpack(self, u: Float[Array, " m"], *parameter: Any) -> tuple[AbstractField, State, Array]:
+    def unpack(self, u: Float[Array, " m"], *parameter: Any) -> tuple[AbstractModel, State, Array]:
         """(field, state on the section, period)."""
         field, starts = self.at(*parameter), self._starts
         position = {n: i for i, n in enumerate(self.solved)}
@@ -192,7 +192,7 @@ class Shooting(eqx.Module):
         def gap(z: Array, end: State) -> Array:
             return self.gap(z[:m], end, *z[m:])
 
-        def make(y: Array) -> tuple[AbstractField, State, Array]:
+        def make(y: Array) -> tuple[AbstractModel, State, Array]:
             return self.at(*y[d:]), tuple(jnp.split(y[:d], self.m)), period
 
         first, by_z = start(z), jax.jacfwd(start)(z)
@@ -215,7 +215,7 @@ class Shooting(eqx.Module):
         field, state, period = self.unpack(u, *parameter)
         return self.gap(u, self.end(field, state, period), *parameter)
 
-    def end(self, field: AbstractField, state: State, period: Array) -> State:
+    def end(self, field: AbstractModel, state: State, period: Array) -> State:
         """The state after the period, or after T / k, moved."""
         end, _, _ = flow(field, state, period / self.parts, rtol=self.rtol, solver=self.solver)
         return end if self.shift is None else tuple(p[np.asarray(self.shift[0])] for p in end)
@@ -249,7 +249,7 @@ def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float
     return shooting.residual(u, parameter)
 
 
-def _layer(field: AbstractField, v: Array) -> tuple[Any, Any]:
+def _layer(field: AbstractModel, v: Array) -> tuple[Any, Any]:
     """(velocity v_d at which friction switches, sign(v_d) eps); (None, None) without switching."""
     switching = field.switching(0.0, jnp.zeros_like(v))
     if switching is None:

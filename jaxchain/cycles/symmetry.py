@@ -30,7 +30,7 @@ from .._checks import check_concrete, check_positive_number, is_traced, shown
 from .._final import final
 from .._types import State
 from ..model.arguments import as_images
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.samples import Trajectory
 from ..simulation.run import simulate
 from .floquet import CYCLE_RTOL, as_orbit, check_orbit
@@ -42,7 +42,7 @@ _PHASE = 0.37
 _SAME = 1e-5
 
 
-def ring_motions(field: AbstractField, state: State) -> list[np.ndarray]:
+def ring_motions(field: AbstractModel, state: State) -> list[np.ndarray]:
     """The rotations and reflections under which the equations keep their form.
 
     **Returns:** index arrays of shape (n,): the image of a state has y[image] for y.  A motion
@@ -148,7 +148,7 @@ def cycle_symmetry(
 
 
 def as_symmetry(
-    images: Any, chain: AbstractField, state: State, mass: int | None = None
+    images: Any, chain: AbstractModel, state: State, mass: int | None = None
 ) -> Symmetry:
     """(`images`, `shift`) from `images` or a `CycleSymmetry`, with `mass` solved for."""
     n = state[0].shape[0]

@@ -28,7 +28,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver, Step, gauss
 from ..result import Result
 from ..simulation.method import MAX_STEP
@@ -38,7 +38,7 @@ from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 # A period takes some hundred steps; a diverging orbit must not delay the others.
 MOST_STEPS = 50_000
 
-Make = Callable[[Float[Array, " m"]], tuple[AbstractField, State, Float[Array, ""]]]
+Make = Callable[[Float[Array, " m"]], tuple[AbstractModel, State, Float[Array, ""]]]
 # (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), motion an index array.
 Shift = tuple[tuple[int, ...], int]
 
@@ -165,7 +165,7 @@ class Returns(AbstractObserver):
 
     shift: Shift | None = eqx.field(static=True, default=None)
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field
         k = 1 if self.shift is None else self.shift[1]
         parts = [-(-k // factor) - 1 for factor in FACTORS]  # j, with r in (0, 1 / k]
@@ -238,7 +238,7 @@ class Along(AbstractObserver):
     points in every step.  It has no derivatives; they would cost as much as the monodromy matrix.
     """
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t1
         x, v = field.value_and_rate(t0, y0)
         v = v if (k := _switching(field, y0)) is None else y0[k]
@@ -263,13 +263,13 @@ class Along(AbstractObserver):
         return accumulator
 
 
-def _switching(field: AbstractField, y: State) -> int | None:
+def _switching(field: AbstractModel, y: State) -> int | None:
     """The number of a cell that is the velocity at which friction switches; None without one."""
     return None if field.layer(0.0, y) is None else min(field.contact, len(y) - 1)
 
 
 def flow(
-    field: AbstractField,
+    field: AbstractModel,
     state: State,
     period: Any,
     *,

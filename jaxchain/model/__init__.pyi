@@ -14,6 +14,7 @@ from .initial_states import excited_state as excited_state
 from .initial_states import on_the_belt as on_the_belt
 from .initial_states import release_state as release_state
 from .mechanical import MechanicalCells as MechanicalCells
+from .model import AbstractModel as AbstractModel
 from .oscillators import AbstractOscillators as AbstractOscillators
 from .oscillators import LocalSlopes as LocalSlopes
 from .ready_made import BurridgeKnopoff as BurridgeKnopoff

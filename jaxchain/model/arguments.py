@@ -17,14 +17,14 @@ from .._checks import (
     to_float,
 )
 from .._spelling import did_you_mean
-from .cells import AbstractField
 from .chain import MAKE_CHAIN, Chain
 from .entries import array_of
+from .model import AbstractModel
 from .oscillators import AbstractOscillators
 
 _STATES = "see `excited_state` for initial states."
 
-_Kind = TypeVar("_Kind", bound=AbstractField)
+_Kind = TypeVar("_Kind", bound=AbstractModel)
 
 
 def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
@@ -38,7 +38,7 @@ def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
 
 
 def as_state(
-    chain: AbstractField,
+    chain: AbstractModel,
     state: Any,
     name: str = "initial",
     *,
@@ -82,14 +82,14 @@ def as_state(
     return parts
 
 
-def as_parameter(model: AbstractField, name: Any, title: str = "parameter") -> Float[Array, ""]:
+def as_parameter(model: AbstractModel, name: Any, title: str = "parameter") -> Float[Array, ""]:
     """The value of the parameter of this name, one number, or `ValueError`.
 
     An entry of an array is one, too: "stiffness[0, 1]".
     """
     if array_of(name) is not None:
         return model.value_of(name)
-    numbers = model.numbers()
+    numbers = model.parameters()
     known = sorted(k for k, value in numbers.items() if np.shape(value) == ())
     if not isinstance(name, str) or name not in known:
         shape = np.shape(numbers.get(name, 0.0)) if isinstance(name, str) else ()

@@ -25,7 +25,6 @@ from .._checks import (
 from .._computed_once import spread
 from .._final import final
 from .._types import PerMass, ScalarLike, State
-from .cells import AbstractField
 from .entries import with_entries
 from .friction import (
     AbstractFriction,
@@ -38,6 +37,7 @@ from .friction import (
     number_margins,
     spread_friction,
 )
+from .model import AbstractModel
 from .oscillators import AbstractOscillators
 from .parameters import CHAIN, SPEED, Parameter, parameter
 from .springs import Ends, Springs
@@ -139,7 +139,7 @@ class Chain(AbstractOscillators):
         )
         springs = self.n if ends == "cyclic" else self.n - 1
         counts = {"chain": None, "mass": self.n, "spring": springs}
-        for name, value in {**_chain_numbers(self), **self.friction.numbers()}.items():
+        for name, value in {**_chain_numbers(self), **self.friction.parameters()}.items():
             per, shape = parameter(name).per, np.shape(value)  # () for None
             if shape not in ((), (counts[per],)):
                 several = "" if per == "chain" else f" or one per {per}, of shape ({counts[per]},)"
@@ -203,7 +203,7 @@ class Chain(AbstractOscillators):
             )
         speeds = {
             name: value / unit
-            for name, value in friction.numbers().items()
+            for name, value in friction.parameters().items()
             if parameter(name).unit == SPEED
         }
         if isinstance(law, TabulatedFriction):
@@ -226,7 +226,7 @@ class Chain(AbstractOscillators):
     @property
     def width(self) -> PerMass:
         """eps, 0 with dry friction."""
-        numbers = self.friction.numbers()
+        numbers = self.friction.parameters()
         return numbers["width"] if "width" in numbers else to_float(0.0)
 
     @property
@@ -252,7 +252,7 @@ class Chain(AbstractOscillators):
     def parameter_names(self) -> tuple[str, ...]:
         """All but `coupling` of a chain without springs."""
         names = [name for name in CHAIN if name != "coupling" or self.springs is not None]
-        return *names, *self.friction.numbers()
+        return *names, *self.friction.parameters()
 
     def check_parameter(self, name: str, values: Any) -> bool:
         """Checks those of the chain; numbers of a law may depend on each other."""
@@ -276,8 +276,8 @@ class Chain(AbstractOscillators):
             "ends": self.ends,
             **_chain_numbers(self),
             "friction_law": type(self.law).__name__,
-            **self.friction.numbers(),
-            "width": self.numbers().get("width"),
+            **self.friction.parameters(),
+            "width": self.parameters().get("width"),
         }
         if isinstance(self.law, TabulatedFriction):
             about["friction_table"] = self.law.table
@@ -395,14 +395,14 @@ class Chain(AbstractOscillators):
         >>> paper_chain().with_(width=None).dry
         True
         """
-        changes = with_entries(changes, self.numbers(), "`Chain.with_`")
+        changes = with_entries(changes, self.parameters(), "`Chain.with_`")
         fields = {
             "n": self.n,
             "friction": self.friction,
             "ends": self.ends,
             **_chain_numbers(self),
         }
-        friction = [*self.friction.numbers(), "width"]
+        friction = [*self.friction.parameters(), "width"]
         check_known("`Chain.with_`", changes, [*fields, *friction])
         of_friction = {name: changes.pop(name) for name in friction if name in changes}
         fields |= changes
@@ -410,9 +410,9 @@ class Chain(AbstractOscillators):
             fields["friction"] = fields["friction"].with_(**of_friction)
         return Chain(**fields)
 
-    def numbers(self) -> dict[str, Array]:
+    def parameters(self) -> dict[str, Array]:
         """The numbers that `with_` takes by name, including those of the friction law."""
-        return {**self.friction.numbers(), **super().numbers()}
+        return {**self.friction.parameters(), **super().parameters()}
 
 
 # No method: equinox makes a module for each call of one.
@@ -481,7 +481,7 @@ def spread_numbers(chain: Chain, like: Float[Array, " n"]) -> Chain:
 
 def require_smoothed(chain: Any, instead: str) -> None:
     """Raises `ValueError` for a chain with dry friction; `instead`: an alternative, or ""."""
-    if isinstance(chain, AbstractField) and chain.dry:
+    if isinstance(chain, AbstractModel) and chain.dry:
         raise ValueError(
             "Argument `chain` has dry friction, but this is for smoothed friction: "
             f"{instead}give it a width, `chain.with_(width=1e-3)`."

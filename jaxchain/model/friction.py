@@ -116,7 +116,7 @@ _FINAL = {
     "force_and_slope": "JAX differentiates `coefficient` by itself; leave it out.",
     "stick_speed": "dry friction sticks at speed 0; smooth the law by `TanhFriction`.",
     "law": "a law is its own; leave it out.",
-    "numbers": "they are the fields that are not static.",
+    "parameters": "they are the fields that are not static.",
     "with_": "it changes the fields by their names; make each number a field.",
 }
 
@@ -141,7 +141,7 @@ class AbstractFriction(PrintedAsCall, eqx.Module):
         """The |w| of greatest friction, the end of the branch on which a mass sticks."""
 
     @abc.abstractmethod
-    def numbers(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, Any]:
         """The names and numbers that `with_` accepts, also that of a chain."""
 
     @abc.abstractmethod
@@ -228,7 +228,7 @@ class AbstractFrictionLaw(AbstractFriction):
         """This law."""
         return self
 
-    def numbers(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, Any]:
         """The fields by name, except static ones: the names that `with_` accepts."""
         return {
             f.name: getattr(self, f.name) for f in fields(self) if not f.metadata.get("static")
@@ -244,7 +244,7 @@ class AbstractFrictionLaw(AbstractFriction):
     def __check_init__(self) -> None:
         # The laws of this module need no check beyond that of their numbers.
         if type(self).__module__ != __name__ and not is_traced(self):
-            per_mass = any(np.ndim(number) for number in self.numbers().values())
+            per_mass = any(np.ndim(number) for number in self.parameters().values())
             mu = jax.vmap(self.coefficient) if per_mass else self.coefficient
             check_curve(type(self).__name__, mu, self.mu_static)
 
@@ -413,7 +413,7 @@ def as_law(law: Any) -> AbstractFrictionLaw:
             "Argument `law` must be an `AbstractFrictionLaw`, such as `ExponentialDecay(...)`, "
             f"but is {shown(law)}."
         )
-    if taken := sorted({*CHAIN, "n", "ends", "friction", "width"} & set(law.numbers())):
+    if taken := sorted({*CHAIN, "n", "ends", "friction", "width"} & set(law.parameters())):
         raise ValueError(
             f"Friction law `{type(law).__name__}` cannot have the field `{taken[0]}`, which is "
             "the name of a number of the chain: rename it."
@@ -479,8 +479,8 @@ class TanhFriction(AbstractFriction):
         ratio = 4.0 * self.law.mu_static / jnp.maximum(self.width * weakening, 1e-300)
         return 0.5 * self.width * jnp.log(jnp.maximum(ratio, jnp.e))
 
-    def numbers(self) -> dict[str, Any]:
-        return {**self.law.numbers(), "width": self.width}
+    def parameters(self) -> dict[str, Any]:
+        return {**self.law.parameters(), "width": self.width}
 
     def with_(self, **changes: Any) -> Any:
         return self.law.with_(**{"width": self.width, **changes})
@@ -518,7 +518,7 @@ def number_margins(numbers: Mapping[str, Any]) -> dict[str, Array]:
 
 def friction_margins(friction: Any) -> dict[str, Array]:
     """`number_margins` of a law, smoothed or not; of a law of your own its curve is at least 0."""
-    law, numbers = friction.law, friction.numbers()
+    law, numbers = friction.law, friction.parameters()
     if type(law).__module__ == __name__:
         return number_margins(numbers)
     speeds = jnp.asarray(_SPEEDS[:: _SPEEDS.size // _MARGINS])

@@ -25,8 +25,23 @@ _ROUNDING = 1e-9
 _KNOWN: dict[Any, Any] = {}
 _KEPT, _lock = 64, threading.Lock()
 
-# Names that a subclass of `AbstractOscillators` cannot define, with the alternative.
-FINAL = {
+_FIELDS = "parameters are the fields that are arrays; make each one a field."
+_OWN = "it is known of models of this package only; leave it out."
+_FOLLOWS = "it follows from other methods; leave it out."
+# Names that no subclass can define, with the alternative.
+_OF_ALL = {
+    "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
+    "variables": "name the variables of a cell in `components`.",
+    **dict.fromkeys(
+        ("parameters", "parameter_names", "has_parameter", "value_of", "with_"), _FIELDS
+    ),
+    **dict.fromkeys(("parameter", "check_parameter", "description", "time_unit"), _OWN),
+    **dict.fromkeys(("frictional", "friction_scales", "velocity_of", "can_be_cycle"), _OWN),
+    **dict.fromkeys(("variable", "state_in_words", "smallest_scale", "balanced"), _FOLLOWS),
+    **dict.fromkeys(("check_locality", "dependence", "neighbours", "given_friction"), _FOLLOWS),
+}
+# Of a subclass of `AbstractOscillators`.
+FINAL = _OF_ALL | {
     "restoring_force": "it is -K x; give what is not linear in x as `local_force(t, x, v)`.",
     "velocity_force": "give the force as `local_force(t, x, v)`.",
     "velocity_force_and_slope": "give the force as `local_force(t, x, v)`; JAX finds its slopes.",
@@ -42,20 +57,15 @@ FINAL = {
     "contact": "it is the velocity; leave it out.",
     "layer": "it follows from `switching`; leave it out.",
     "ends": "they are those of `springs`; leave it out.",
-    "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
-    "equilibrium": "it is known of a `Chain` only; leave it out.",
-    "balanced": "it follows from the forces; leave it out.",
-    "can_be_cycle": "bounds of cycles are known of a `Chain` only; leave it out.",
-    "with_": "it changes the fields by their names; make each number a field.",
-    "numbers": "they are the fields that are arrays; make each number a field.",
 }
 # The same for a subclass of `AbstractCells`.
-CELLS_FINAL = {
+CELLS_FINAL = _OF_ALL | {
     "__call__": "give the rate of a cell as `rate(t, left, own, right)`.",
     "jacobian": "JAX differentiates `rate` by itself; leave it out.",
     "linearised": "JAX differentiates `rate` by itself; leave it out.",
     "dependence": "it is read off `rate(t, left, own, right)`; leave it out.",
     "neighbours": 'they are those of a ring, or of a row with `ends` = "free".',
+    "excess_force": "masses that stick are those of a `Chain`; leave it out.",
     "divergence": "JAX differentiates `rate` by itself; leave it out.",
     "value_and_rate": "it follows from `rate`; leave it out.",
     "second_rate": "it follows from `rate`; leave it out.",
@@ -63,12 +73,6 @@ CELLS_FINAL = {
     "attracts": "it is not known of cells; leave it out.",
     "layer": "it follows from `switching` and `contact`; leave it out.",
     "stick_speed": "masses that stick are those of a `Chain`; leave it out.",
-    "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
-    "equilibrium": "it is known of a `Chain` only; leave it out.",
-    "balanced": "it follows from the forces; leave it out.",
-    "can_be_cycle": "bounds of cycles are known of a `Chain` only; leave it out.",
-    "with_": "it changes the fields by their names; make each number a field.",
-    "numbers": "they are the fields that are arrays; make each number a field.",
 }
 
 

@@ -194,7 +194,7 @@ class MechanicalCells(AbstractCells):
             matrices = [getattr(self, name) for name in _MATRICES]
             counts = [np.shape(a)[0] for a in matrices if a is not None and np.ndim(a) == 3]
             friction = self.friction if isinstance(self.friction, AbstractFriction) else None
-            each = [self.normal_load, *(friction.numbers().values() if friction else ())]
+            each = [self.normal_load, *(friction.parameters().values() if friction else ())]
             self.n = max(
                 [*counts, *(np.shape(a)[0] for a in each if np.ndim(a) == 1)], default=None
             )
@@ -214,7 +214,7 @@ class MechanicalCells(AbstractCells):
             raise ValueError(f"Argument `names` must have {d} names, but is {self.names}.")
         for name, added in (self.plus or {}).items():
             check_number(name, added.factor)
-            taken = {f.name for f in fields(self)} | set(super().numbers())
+            taken = {f.name for f in fields(self)} | set(super().parameters())
             if name in taken and not (name == "friction" and self.friction is None):
                 raise ValueError(
                     f"Argument `plus` must have names of its own, but has `{name}`, which is one "
@@ -255,7 +255,7 @@ class MechanicalCells(AbstractCells):
                 )
         per_cell = {"normal_load": self.normal_load}
         if self.friction is not None:
-            per_cell |= self.friction.numbers()
+            per_cell |= self.friction.parameters()
         for name, value in self._all_matrices().items():
             if value.ndim == 3:
                 per_cell[name] = value[:, 0, 0]
@@ -326,9 +326,9 @@ class MechanicalCells(AbstractCells):
             return super()._place(name)
         return lambda cells: cells.plus[name].factor
 
-    def numbers(self) -> dict[str, Array]:
+    def parameters(self) -> dict[str, Array]:
         """The arrays among the fields, the numbers of the law, the parameters of `plus`."""
-        return super().numbers() | {name: a.factor for name, a in (self.plus or {}).items()}
+        return super().parameters() | {name: a.factor for name, a in (self.plus or {}).items()}
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -21,8 +21,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._final import final, refuse_overrides, require_signature
 from .._types import PerMass, ScalarLike, State
-from .cells import AbstractField, StateVariable
 from .locality import FINAL, check_local, local_dependence
+from .model import AbstractModel, StateVariable
 from .parameters import SPEED
 from .springs import Ends, Springs
 
@@ -42,7 +42,7 @@ class LocalSlopes(NamedTuple):
     velocity: Float[Array, " n"]
 
 
-class AbstractOscillators(AbstractField):
+class AbstractOscillators(AbstractModel):
     """Masses with any local force, coupled by linear springs.
 
     x' = v,   v_n' = h_n(t, x_n, v_n) - k_n x_n + (C x)_n.
@@ -186,7 +186,7 @@ class AbstractOscillators(AbstractField):
     def _place(self, name: str) -> Callable[[Any], Any]:
         return operator.attrgetter("springs.constant" if name == "coupling" else name)
 
-    def numbers(self) -> dict[str, Array]:
+    def parameters(self) -> dict[str, Array]:
         """The arrays among the fields by name, and the springs' constant as `coupling`."""
-        numbers = super().numbers()
+        numbers = super().parameters()
         return numbers if self.springs is None else {"coupling": self.springs.constant, **numbers}

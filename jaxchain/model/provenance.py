@@ -18,9 +18,9 @@ import jax
 import numpy as np
 
 from .. import __version__
-from .cells import AbstractField
 from .chain import Chain
 from .friction import AbstractFrictionLaw, TanhFriction
+from .model import AbstractModel
 from .parameters import CHAIN
 
 
@@ -36,10 +36,10 @@ def _versions() -> dict[str, str]:
     return {"jaxchain": __version__, **below, "python": platform.python_version()}
 
 
-def parameters_of(field: AbstractField, n: int, swept: Sequence[str]) -> str:
+def parameters_of(field: AbstractModel, n: int, swept: Sequence[str]) -> str:
     """The numbers of a chain and of its friction as JSON; "swept" for the swept ones.
 
-    For other oscillators: their class, their number n and their `numbers`.
+    For other oscillators: their class, their number n and their `parameters`.
     """
     parameters = field.description(n)
     plain = {

@@ -58,12 +58,12 @@ class _AbstractReadyMade(AbstractCells):
 
     def __check_init__(self) -> None:
         check_one_of("ends", self.ends, get_args(Ends))
-        check_per_mass(**self.numbers())
+        check_per_mass(**self.parameters())
 
     @property
     def n(self) -> int | None:
         """The number of cells; None if every number is one for all."""
-        return max((len(a) for a in self.numbers().values() if a.ndim), default=None)
+        return max((len(a) for a in self.parameters().values() if a.ndim), default=None)
 
 
 @final

@@ -43,7 +43,7 @@ def has_uniform_damping(chain: Chain) -> bool:
 
     Only the shapes count: numbers given per mass are treated as different.
     """
-    numbers = [chain.damping_ratio, chain.load, *chain.friction.numbers().values()]
+    numbers = [chain.damping_ratio, chain.load, *chain.friction.parameters().values()]
     return all(np.ndim(number) == 0 for number in numbers)
 
 

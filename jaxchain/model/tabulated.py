@@ -140,7 +140,7 @@ class TabulatedFriction(AbstractFrictionLaw):
     def knots(self) -> Float[Array, " knots"]:
         return self.pieces[0, 1:]
 
-    def numbers(self) -> dict[str, Any]:
+    def parameters(self) -> dict[str, Any]:
         """Empty: the table has no numbers for `Chain.with_`."""
         return {}
 

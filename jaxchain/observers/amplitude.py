@@ -14,7 +14,7 @@ from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite, renamed, window_fits
 from .quantities import active, energy
 
@@ -101,7 +101,7 @@ class Amplitude(AbstractObserver):
             )
 
     def init(
-        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> _AmplitudeState:
         x = field.value_and_rate(t0, y0, self.component)[0]
         window = t1 - t0 if self.window is None else self.window

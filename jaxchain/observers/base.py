@@ -24,7 +24,7 @@ from .._computed_once import flatten
 from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 
 
 @final
@@ -71,7 +71,7 @@ class Step(eqx.Module):
         59
     """
 
-    field: AbstractField
+    field: AbstractModel
     t0: Any
     t1: Any
     y0: State
@@ -215,7 +215,7 @@ class Step(eqx.Module):
         )
 
 
-def _is_alone(field: AbstractField, y: State, component: int) -> bool:
+def _is_alone(field: AbstractModel, y: State, component: int) -> bool:
     """Whether the rate of this number depends on nothing but the cell itself."""
     if (of := field.dependence(y)) is None:
         return False
@@ -423,7 +423,7 @@ class AbstractObserver(eqx.Module):
     """
 
     @abc.abstractmethod
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         """The accumulator at the start of a run of `field` over [t0, t1]."""
 
     @abc.abstractmethod

@@ -13,8 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
 from ..model.chain import Chain
+from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite
 
 
@@ -37,7 +37,7 @@ class Divergence(AbstractObserver):
         -3.0
     """
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field, t0, t1, y0
         return jnp.zeros(())
 

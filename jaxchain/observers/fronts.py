@@ -19,7 +19,7 @@ from .._final import final
 from .._internals import unvmap_any
 from .._statistics import student_reach
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite
 from .quantities import active_above
 
@@ -143,7 +143,7 @@ class FrontTrack(AbstractObserver):
         if self.middle is not None:
             check_whole("middle", self.middle, 0, remedy="it is the index of a mass in the block.")
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watch:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Watch:
         if self.threshold is None and field.stick_speed() is None:
             raise ValueError(
                 "Argument `threshold` of `FrontTrack` must be an amplitude for cells without a "

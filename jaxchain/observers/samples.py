@@ -30,7 +30,7 @@ from .._derivatives import both_ways
 from .._final import final
 from .._internals import unvmap_any, while_loop
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from .base import AbstractNotingObserver, Step, Variable, all_finite, states_at_times
 
 
@@ -155,7 +155,7 @@ class Samples(AbstractNotingObserver):
             check_whole(f"oscillators[{place}]", index, 0, n - 1, f"the chain has {n} masses.")
         return np.array(self.oscillators, int)
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Samples:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Samples:
         del field, t1
         masses = self._masses(y0[0].shape[0])
         first = to_float(t0)

@@ -13,7 +13,7 @@ from .._checks import check_number, check_one_of, check_whole
 from .._computed_once import materialize
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from .base import (
     AbstractNotingObserver,
     AbstractObserver,
@@ -70,7 +70,7 @@ class PeakTimes(AbstractNotingObserver):
         check_whole("component", self.component, 0, remedy="0 is the first number of a cell.")
 
     def init(
-        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
         del t1
         x = field.value_and_rate(t0, y0, self.component)[0]
@@ -147,7 +147,7 @@ class AbstractSection(AbstractObserver):
             check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a mass.")
 
     def init(
-        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, ...]:
         del field, t0, t1
         n = y0[0].shape[0]

@@ -15,7 +15,7 @@ from .._checks import check_positive_number, to_float
 from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite, window_fits, zeros
 
 
@@ -50,7 +50,7 @@ class StickTime(AbstractObserver):
             check_positive_number("window", self.window, "some periods of about 2 pi.")
 
     def init(
-        self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State
+        self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
         if field.stick_speed() is None:
             raise ValueError(
@@ -151,7 +151,7 @@ class MostSticking(AbstractObserver):
         [0, 2]
     """
 
-    def init(self, field: AbstractField, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t0, t1, y0
         if field.stick_speed() is None:
             raise ValueError(

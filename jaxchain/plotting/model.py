@@ -302,7 +302,7 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
     axes.axvline(0.0, color=GREY, linewidth=0.5, zorder=0)
     ticks = {0.0: "0", static: r"$\mu_{st}$", -static: r"$-\mu_{st}$"}
-    dynamic = law.numbers().get("mu_dynamic")
+    dynamic = law.parameters().get("mu_dynamic")
     if dynamic is not None and static - float(dynamic) > 0.12 * top:
         for sign in (1.0, -1.0):
             ticks[sign * float(dynamic)] = r"$\mu_d$" if sign > 0 else r"$-\mu_d$"

@@ -33,8 +33,8 @@ from .._checks import (
 from .._spelling import did_you_mean
 from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractField, StateVariable
 from ..model.chain import Chain
+from ..model.model import AbstractModel, StateVariable
 from ..model.parameters import SPEED
 from ..model.units import Scales
 from ..observers.samples import Trajectory
@@ -71,7 +71,7 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 def plot_time_series(
     times: Any,
     states: Any,
-    chain: AbstractField | None = None,
+    chain: AbstractModel | None = None,
     *,
     y: str | int = 0,
     masses: Any = None,
@@ -120,7 +120,7 @@ def plot_time_series(
 def plot_phase_portrait(
     times: Any,
     states: Any,
-    chain: AbstractField | None = None,
+    chain: AbstractModel | None = None,
     *,
     x: str | int = 0,
     y: str | int = 1,
@@ -160,7 +160,7 @@ def plot_phase_portrait(
 def plot_space_time(
     times: Any,
     states: Any,
-    chain: AbstractField | None = None,
+    chain: AbstractModel | None = None,
     *,
     y: str | int = 0,
     ax: Axes | None = None,
@@ -200,7 +200,7 @@ def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any
     """(values, factor, label) of each component asked for, and (factor, label) of time."""
     check_scales(scales)
     if chain is not None:
-        chain = as_chain(chain, AbstractField)
+        chain = as_chain(chain, AbstractModel)
     known = [] if chain is None else chain.variables
     if chain is None and len(states) == 2:  # of a chain
         known = [StateVariable(name, unit) for name, unit in _UNITS.items()]
@@ -283,7 +283,7 @@ def _draw_curves(
     return axes
 
 
-def sticking(chain: AbstractField, states: Any) -> np.ndarray:
+def sticking(chain: AbstractModel, states: Any) -> np.ndarray:
     """Which masses stick at each time, of shape (times, n).
 
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
@@ -308,7 +308,7 @@ def sticking(chain: AbstractField, states: Any) -> np.ndarray:
         >>> sticks.shape, round(float(sticks.mean()), 2)  # the share of the time
         ((101, 1), 0.16)
     """
-    model: Any = as_chain(chain, AbstractField)
+    model: Any = as_chain(chain, AbstractModel)
     if model.stick_speed() is None:
         raise ValueError(
             f"Argument `chain` is a {type(chain).__name__}, whose masses cannot stick: give a "

@@ -27,9 +27,10 @@ from .._spelling import did_you_mean
 from .._types import State
 from ..model import friction, initial_states, ready_made
 from ..model.arguments import as_state
-from ..model.cells import AbstractCells, AbstractField
+from ..model.cells import AbstractCells
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
+from ..model.model import AbstractModel
 from ..model.parameters import CHAIN
 from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
@@ -172,7 +173,7 @@ def build_start(experiment: CellsExperiment, cells: AbstractCells) -> Callable[.
                 f"initial.{key}: is given twice, by name and by number: leave one out"
             )
         given[k] = np.asarray(value, float)
-    fields = cells.numbers()
+    fields = cells.parameters()
     parameters = [
         f"component_{k}"
         if name in fields or keyword.iskeyword(name) or not name.isidentifier()
@@ -278,7 +279,7 @@ def build(
 
 
 def build_solver(
-    name: str, chain: AbstractField, rtol: float, max_step: float
+    name: str, chain: AbstractModel, rtol: float, max_step: float
 ) -> dfx.AbstractSolver | None:
     """A solver by its name in a scene; None leaves the choice to `sweep`."""
     if name == "auto":

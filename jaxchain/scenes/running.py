@@ -245,7 +245,7 @@ def _run_group(
     if isinstance(experiment, CellsExperiment):
         names = component_names(experiment, cast(AbstractCells, chain))
         unwanted |= {f"{quantity}_{name}" for quantity in unwanted for name in names}
-        swept = set(experiment.sweep) - chain.numbers().keys()
+        swept = set(experiment.sweep) - chain.parameters().keys()
         starts = {name: (f"{name} at the start", "1") for name in swept}
     data = data.drop_vars(unwanted & set(data.data_vars)).assign_attrs(about)
     for name in starts.keys() & set(map(str, data.coords)):
@@ -373,7 +373,7 @@ def hopf_speed(
     known = isinstance(chain, Chain) and has_uniform_damping(chain)
     if "belt_speed" not in grid or not known:
         return None
-    swept = [name for name in grid if name in chain.numbers() and name != "belt_speed"]
+    swept = [name for name in grid if name in chain.parameters() and name != "belt_speed"]
     if math.prod(len(grid[name]) for name in swept) > MOST_LANES:
         return None
     axes = np.meshgrid(*(grid[name] for name in swept), indexing="ij")
@@ -399,7 +399,7 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
     oscillator, with a sweep over at least ten belt speeds and starts and no other number of the
     chain; or if its cycles do not fold.
     """
-    swept = [name for name in grid if name in chain.numbers()]
+    swept = [name for name in grid if name in chain.parameters()]
     if not isinstance(chain, Chain) or chain.n != 1:
         return None
     if swept != ["belt_speed"] or len(grid) < 2 or len(grid["belt_speed"]) < 10:

@@ -13,8 +13,8 @@ from .._final import final
 from .._limits import LEAST_ACCURACY, MOST_ACCURACY
 from .._printing import PrintedAsCall
 from ..model.arguments import as_chain
-from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
+from ..model.model import AbstractModel
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .method import choose_solver
 
@@ -43,7 +43,7 @@ class Numerics(PrintedAsCall, eqx.Module):
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
 
 
-def choose_numerics(chain: AbstractField, accuracy: Any) -> Numerics:
+def choose_numerics(chain: AbstractModel, accuracy: Any) -> Numerics:
     """The cheapest smoothed computation with an error of at most `accuracy`.
 
     The error is relative to dry friction and to the greatest amplitude of the run.
@@ -116,9 +116,9 @@ def choose_numerics(chain: AbstractField, accuracy: Any) -> Numerics:
     return Numerics(*lax.stop_gradient((width, rtol)), solver)
 
 
-def check_accuracy(model: AbstractField, accuracy: Any, rtol: Any = None) -> None:
+def check_accuracy(model: AbstractModel, accuracy: Any, rtol: Any = None) -> None:
     """Raises `ValueError` unless `accuracy` can pick a width and `rtol` for this model."""
-    as_chain(model, AbstractField)
+    as_chain(model, AbstractModel)
     require_smoothed(model, NO_ACCURACY)
     if model.friction_scales() is None:
         raise ValueError(

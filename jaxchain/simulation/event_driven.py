@@ -31,7 +31,7 @@ from .._computed_once import materialize, spread
 from .._final import final
 from .._internals import unvmap_any
 from .._types import State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Rates, Step
 from ..result import Result
 from ..solvers.dry_friction import (
@@ -268,7 +268,7 @@ class EventDrivenPlan(AbstractPlan):
     def method(self) -> str:
         return f"EventDriven(order={self.order})"
 
-    def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
+    def begin(self, field: AbstractModel, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
         state, modes = start(dry, t0, initial)
         known = _friction(dry, state, modes)
@@ -282,7 +282,7 @@ class EventDrivenPlan(AbstractPlan):
             rejected=jnp.zeros((), int),
         )
 
-    def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
+    def moved(self, field: AbstractModel, progress: Progress, state: State, t1: Any) -> Progress:
         del t1
         memory = progress.memory
         known = _friction(_dry(field), state, memory.modes)
@@ -291,7 +291,7 @@ class EventDrivenPlan(AbstractPlan):
 
     def advance(
         self,
-        field: AbstractField,
+        field: AbstractModel,
         progress: Progress,
         t1: Any,
         *,
@@ -504,7 +504,7 @@ class EventDriven(eqx.Module):
         )
 
 
-def _dry(field: AbstractField) -> Dry:
+def _dry(field: AbstractModel) -> Dry:
     if not field.frictional:
         raise ValueError(
             "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction, but has "

@@ -22,7 +22,8 @@ from .._final import final
 from .._limits import LEAST_ATOL, LEAST_RTOL
 from .._printing import PrintedAsCall
 from .._types import ScalarLike, State
-from ..model.cells import AbstractCells, AbstractField
+from ..model.cells import AbstractCells
+from ..model.model import AbstractModel
 from ..model.oscillators import AbstractOscillators
 from ..observers.base import AbstractObserver
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas4, Rodas5P
@@ -94,7 +95,7 @@ class Method(PrintedAsCall, eqx.Module):
         """Whether it integrates dry friction, by events."""
         return isinstance(self.solver, EventDriven)
 
-    def checked(self, model: AbstractField, n: int, scale: Any = ()) -> "Method":
+    def checked(self, model: AbstractModel, n: int, scale: Any = ()) -> "Method":
         """With tolerances and steps for this model of n cells, and `EventDriven()` if it is dry.
 
         **Arguments:** `scale`: what takes the place of `model.smallest_scale(n)` in a sweep.
@@ -113,7 +114,7 @@ class Method(PrintedAsCall, eqx.Module):
         return Method(solver, rtol, atol, max_step, self.max_steps)
 
     def suited(
-        self, model: AbstractField, n: int, start: "Start | None" = None, scale: Any = ()
+        self, model: AbstractModel, n: int, start: "Start | None" = None, scale: Any = ()
     ) -> "Method":
         """`checked`, and with the solver that suits the model, from a state of it."""
         method = self.checked(model, n, scale)
@@ -203,7 +204,7 @@ def _instead(solver: Any) -> str:
 
 
 def choose_solver(
-    field: AbstractField, rtol: float, max_step: float = MAX_STEP, state: Start | None = None
+    field: AbstractModel, rtol: float, max_step: float = MAX_STEP, state: Start | None = None
 ) -> AbstractStructuredRosenbrock:
     """Rodas4 down to rtol 1e-7 and Rodas5P below, with the linear solve that fits the coupling."""
     solver = Rodas4() if rtol >= 1e-7 else Rodas5P()
@@ -212,7 +213,7 @@ def choose_solver(
 
 def fit_linear_solve(
     solver: AbstractStructuredRosenbrock,
-    field: AbstractField,
+    field: AbstractModel,
     rtol: float,
     max_step: float = MAX_STEP,
     state: Start | None = None,
@@ -263,7 +264,7 @@ def _margin(solver: Any) -> float:
     return 1.0 if own else _STOCK
 
 
-Scale: TypeAlias = tuple[Any, Any] | None  # (width, speed), see `AbstractField.smallest_scale`
+Scale: TypeAlias = tuple[Any, Any] | None  # (width, speed), see `AbstractModel.smallest_scale`
 
 
 def default_rtol(n: int, scale: Scale, solver: Any = None) -> Any:

@@ -22,7 +22,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from .._internals import buffer_at_set, nondifferentiable_backward, unvmap_any, while_loop
 from .._types import State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver, all_finite
 from ..result import Result, ended_well
 
@@ -184,17 +184,17 @@ class AbstractPlan(eqx.Module):
         """The name of the integrator, for the records."""
 
     @abc.abstractmethod
-    def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
+    def begin(self, field: AbstractModel, initial: State, t0: Any, t1: Any) -> Progress:
         """A run over [t0, t1] before its first step; ended already if nothing can be computed."""
 
     @abc.abstractmethod
-    def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
+    def moved(self, field: AbstractModel, progress: Progress, state: State, t1: Any) -> Progress:
         """The run with another state; what depends smoothly on the state is computed again."""
 
     @abc.abstractmethod
     def advance(
         self,
-        field: AbstractField,
+        field: AbstractModel,
         progress: Progress,
         t1: Any,
         *,

@@ -24,7 +24,7 @@ from .._derivatives import both_ways
 from .._final import final
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain, as_state
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver
 from ..observers.samples import Trajectory
 from ..result import NAMES, Printed, Result, code, ended_well, message
@@ -103,7 +103,7 @@ class Simulation(Printed, eqx.Module):
 
 
 def simulate(
-    chain: AbstractField,
+    chain: AbstractModel,
     initial: Any,
     t1: ScalarLike,
     *,
@@ -165,7 +165,7 @@ def simulate(
         >>> int(active(run.observed, 1.5).sum())
         1
     """
-    as_chain(chain, AbstractField)
+    as_chain(chain, AbstractModel)
     method = Method.of(
         method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
     )
@@ -235,7 +235,7 @@ def check_adjoint(adjoint: Any) -> None:
 @eqx.filter_jit
 def _run(
     plan: AbstractPlan,
-    chain: AbstractField,
+    chain: AbstractModel,
     initial: State,
     t0: Array,
     t1: Array,
@@ -308,7 +308,7 @@ _RECORDED = 2**15
 
 
 def _advance(
-    plan: AbstractPlan, chain: AbstractField, progress: Progress, t1: Array, times: list,
+    plan: AbstractPlan, chain: AbstractModel, progress: Progress, t1: Array, times: list,
     max_steps: int | None, adjoint: dfx.AbstractAdjoint | None, parts: int = 1,
 ) -> tuple[Progress, list]:  # fmt: skip
     """`plan.advance`, with derivatives of both kinds if `adjoint` is None."""

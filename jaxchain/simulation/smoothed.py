@@ -21,7 +21,7 @@ from .._checks import to_float
 from .._computed_once import materialize
 from .._internals import buffer_at_set, while_loop
 from .._types import State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver, Step
 from ..result import Result
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock, RosenbrockInterpolation
@@ -108,7 +108,7 @@ def _record(
 
 
 def _seen(
-    field: AbstractField, t0: Array, t1: Array, y0: State, y1: State, inside: Any,
+    field: AbstractModel, t0: Array, t1: Array, y0: State, y1: State, inside: Any,
     acceleration: Array | None,
 ) -> tuple[Step, Array | None]:  # fmt: skip
     """(the step for observers, the acceleration at its end if it is given at its start)."""
@@ -188,7 +188,7 @@ class SmoothedPlan(AbstractPlan):
     def method(self) -> str:
         return repr(self.solver)
 
-    def controller(self, field: AbstractField) -> SwitchingController:
+    def controller(self, field: AbstractModel) -> SwitchingController:
         """The step-size control of a run; plain PID control where no force of `field` switches."""
         growth_time, forced = field.growth_time(), field.forcing_period()
         longest = self.max_step
@@ -209,7 +209,7 @@ class SmoothedPlan(AbstractPlan):
         )
         return SwitchingController(pid, field)
 
-    def begin(self, field: AbstractField, initial: State, t0: Any, t1: Any) -> Progress:
+    def begin(self, field: AbstractModel, initial: State, t0: Any, t1: Any) -> Progress:
         t0 = to_float(t0)
         terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
         order: Any = self.solver.error_order(terms)
@@ -237,7 +237,7 @@ class SmoothedPlan(AbstractPlan):
             rejected=jnp.zeros((), int),
         )
 
-    def moved(self, field: AbstractField, progress: Progress, state: State, t1: Any) -> Progress:
+    def moved(self, field: AbstractModel, progress: Progress, state: State, t1: Any) -> Progress:
         # A Runge-Kutta method may keep the slope at the end of a step for the next one.
         fresh, kept = self.begin(field, state, progress.t, t1).memory, progress.memory
         memory = dataclasses.replace(fresh, step_size=kept.step_size, controller=kept.controller)
@@ -245,7 +245,7 @@ class SmoothedPlan(AbstractPlan):
 
     def advance(
         self,
-        field: AbstractField,
+        field: AbstractModel,
         progress: Progress,
         t1: Any,
         *,
@@ -284,7 +284,7 @@ class SmoothedPlan(AbstractPlan):
 
     def _take_steps(
         self,
-        field: AbstractField,
+        field: AbstractModel,
         progress: Progress,
         t1: Any,
         most: Array,

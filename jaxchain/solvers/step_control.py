@@ -22,8 +22,8 @@ from .._checks import (
 from .._computed_once import materialize, spread
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.cells import AbstractField
 from ..model.chain import MAKE_CHAIN
+from ..model.model import AbstractModel
 
 # In units of the width, measured on the ring of twenty for widths 1e-2 to 1e-4 and errors of 1e-2
 # to 1e-6.  The optimum is flat.  At 6 widths tanh is 1 to 1e-5, so that beyond them the force is
@@ -103,7 +103,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     """
 
     controller: dfx.AbstractAdaptiveStepSizeController
-    field: AbstractField
+    field: AbstractModel
     near: Float[Array, ""]
     landing: Float[Array, ""]
     crossing: Float[Array, ""]
@@ -121,7 +121,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         remedy = "such as `diffrax.PIDController(rtol=1e-6, atol=1e-7)`."
         check_kind("controller", controller, kind, "an adaptive step-size controller", remedy)
         wanted = "the `Chain` (`AbstractOscillators`, `AbstractCells`) that is integrated"
-        check_kind("field", field, AbstractField, wanted, MAKE_CHAIN)
+        check_kind("field", field, AbstractModel, wanted, MAKE_CHAIN)
         check_number("landing", landing, f"{LANDING} is usual.")
         check_number("near", near, f"{NEAR} is usual.")
         check_nonnegative("landing", landing, f"{LANDING} is usual.")

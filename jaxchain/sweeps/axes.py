@@ -21,9 +21,9 @@ from jaxtyping import Array
 from .._checks import check_finite, check_function, check_kind, check_whole
 from .._limits import MOST_LANES
 from .._spelling import did_you_mean
-from ..model.cells import AbstractField
 from ..model.chain import require_smoothed
 from ..model.entries import array_of
+from ..model.model import AbstractModel
 from ..simulation.dataset import Axes, columns_of, sizes
 from .lanes import initial_names
 
@@ -32,7 +32,7 @@ Key: TypeAlias = tuple[int, ...]
 
 
 def check_axes(
-    chain: AbstractField,
+    chain: AbstractModel,
     initial: Any,
     over: Mapping[str, Any],
     vary: Callable[..., Any] | None = None,

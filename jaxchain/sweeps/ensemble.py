@@ -42,8 +42,8 @@ import numpy as np
 from .._checks import check_concrete, check_finite, shown, to_float
 from .._types import ScalarLike, State
 from ..model.arguments import as_chain
-from ..model.cells import AbstractField
 from ..model.entries import array_of
+from ..model.model import AbstractModel
 from ..model.parameters import parameter
 from ..model.provenance import versions
 from ..observers.amplitude import Amplitude
@@ -205,7 +205,7 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
     **Raises:** `ValueError` for bad input.
     """
-    chain: Any = as_chain(settings.chain, AbstractField)
+    chain: Any = as_chain(settings.chain, AbstractModel)
     initial, vary, t0, t1 = settings.initial, settings.vary, settings.t0, settings.t1
     check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
     check_concrete("use `jax.vmap` of `simulate`.", over=over)
@@ -252,7 +252,7 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
 
 def _numerics(
-    chain: AbstractField,
+    chain: AbstractModel,
     vary: Callable[..., Any] | None,
     jobs: Mapping[str, np.ndarray],
     accuracy: float,
@@ -275,7 +275,7 @@ def _numerics(
 
 
 def _check_initial(
-    chain: AbstractField, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
+    chain: AbstractModel, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
 ) -> tuple[int, int]:
     """Raises the errors of `initial` for its own values, and for a state of a wrong shape.
 
@@ -322,12 +322,12 @@ def _check_initial(
     return m, n
 
 
-def _first_state(given: tuple[Callable[..., State], AbstractField]) -> State:
+def _first_state(given: tuple[Callable[..., State], AbstractModel]) -> State:
     initial, chain = given
     return initial(chain)
 
 
-def _check_vary(chain: AbstractField, vary: Callable[..., Any] | None, axes: Axes) -> None:
+def _check_vary(chain: AbstractModel, vary: Callable[..., Any] | None, axes: Axes) -> None:
     """Raises the errors of `vary` at the extremes of its parameters, or if it returns no chain."""
     if vary is None:
         return
@@ -411,7 +411,7 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
     chain, plan = starts.chain, task.plan
     swept = columns_of(axes)
     at_rest = ensemble.shapes.start.state
-    numbers = {**chain.numbers(), "n": ensemble.n, "ends": chain.ends}
+    numbers = {**chain.parameters(), "n": ensemble.n, "ends": chain.ends}
     # For example of a table: arrays are data of a program, not part of its text.
     data = [a for a in _arrays(chain) if all(a is not b for b in numbers.values())]
     solver = eqx.tree_at(lambda p: p.observers, plan, None, is_leaf=lambda a: a is None)

@@ -21,7 +21,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from .._types import State
-from ..model.cells import AbstractField
+from ..model.model import AbstractModel
 from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
@@ -81,7 +81,7 @@ class Varied(NamedTuple):
     sources: tuple[int | Constant | None, ...]
 
     @staticmethod
-    def compare(given: AbstractField, made: AbstractField) -> tuple[Varied, list[Array]]:
+    def compare(given: AbstractModel, made: AbstractModel) -> tuple[Varied, list[Array]]:
         """The unchanged leaves, and the new arrays."""
         places = {id(leaf): place for place, leaf in enumerate(jtu.tree_leaves(given))}
         leaves, structure = jtu.tree_flatten(made)
@@ -95,7 +95,7 @@ class Varied(NamedTuple):
             sources.append(place)
         return Varied(structure, tuple(sources)), new
 
-    def make(self, given: AbstractField, new: Sequence[Array]) -> Any:
+    def make(self, given: AbstractModel, new: Sequence[Array]) -> Any:
         """The chain of a lane: the given one with the arrays from `vary`."""
         before, fresh = jtu.tree_leaves(given), iter(new)
 
@@ -124,7 +124,7 @@ class RunStart(eqx.Module):
 class RunStarts(eqx.Module):
     """The chain of a sweep, and the functions that make the start of each job."""
 
-    chain: AbstractField
+    chain: AbstractModel
     initial: State | Callable[..., State]
     vary: Callable[..., Any] | None = None
     n: int = eqx.field(static=True, default=1)
@@ -164,7 +164,7 @@ class SweepTask(eqx.Module):
     """The data common to every lane of a sweep."""
 
     plan: AbstractPlan
-    chain: AbstractField
+    chain: AbstractModel
     t0: Array
     t1: Array
     max_steps: Array | None = None  # of a lane, accepted or rejected
@@ -176,12 +176,12 @@ class SweepTask(eqx.Module):
         """The time at which a segment begins."""
         return self.t0 + (self.t1 - self.t0) * segment / self.segments
 
-    def chain_of_run(self, numbers: RunNumbers) -> AbstractField:
+    def chain_of_run(self, numbers: RunNumbers) -> AbstractModel:
         """The chain of a lane, with its own numbers."""
         chain = with_numbers(self.chain, numbers.numbers)
         return chain if self.varied is None else self.varied.make(chain, numbers.new)
 
-    def observed(self, chain: AbstractField, progress: Progress) -> OrderedDict[str, Variable]:
+    def observed(self, chain: AbstractModel, progress: Progress) -> OrderedDict[str, Variable]:
         """The values of all observers so far, by the names of the variables."""
         labels = OrderedDict()  # JAX sorts a dict
         for observer, value in zip(self.plan.observers, self.plan.read(progress), strict=True):
@@ -244,7 +244,7 @@ def advance_lane(
 
 
 def _next_segment(
-    task: SweepTask, chain: AbstractField, progress: Progress, now: Segments, over: Bool[Array, ""]
+    task: SweepTask, chain: AbstractModel, progress: Progress, now: Segments, over: Bool[Array, ""]
 ) -> tuple[Progress, Segments]:
     """The lane; if the present segment is `over`, with its record and restarted observers."""
 

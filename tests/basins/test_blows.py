@@ -118,7 +118,7 @@ def test_it_says_why_there_is_none():
 @pytest.mark.long
 def test_its_derivative_is_that_of_differences_in_every_number():
     """That of the general search, by the gradient of a run, against the exact sizes."""
-    numbers = {k: v for k, v in ONE.numbers().items() if v is not None}
+    numbers = {k: v for k, v in ONE.parameters().items() if v is not None}
 
     def searched(own):
         return gentlest_blow(ONE.with_(**own), direction=[1.0]).size

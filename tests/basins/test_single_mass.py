@@ -223,13 +223,13 @@ def test_it_has_its_derivatives_in_every_number_and_in_the_edges(chain, speed):
     box = Box((-1.5, 1.0), (-0.1, 0.9))
     value, (by_chain, by_box) = slopes(chain, box)
     assert 0.0 < float(value) < 1.0
-    numbers = chain.numbers()
+    numbers = chain.parameters()
     for name, number in numbers.items():
         if number is None:
             continue
         small = SMALL * (0.01 if name == "width" else 1.0)
         ends = [share(chain.with_(**{name: number + s * small}), box) for s in (-1, 1)]
-        slope = by_chain.numbers()[name]
+        slope = by_chain.parameters()[name]
         assert float(slope) == pytest.approx(
             (ends[1] - ends[0]) / (2 * small), rel=1e-6, abs=1e-6
         ), name

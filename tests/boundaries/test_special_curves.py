@@ -202,7 +202,7 @@ def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_po
     assert curve.second[meeting.index] < meeting.second < curve.second[meeting.index + 1]
     varied = chain.with_(damping_ratio=curve.second[3])
     slopes, known = (
-        jax.grad(f)(varied).numbers() for f in (lambda c: curve.at(3, c).value, hopf_belt_speed)
+        jax.grad(f)(varied).parameters() for f in (lambda c: curve.at(3, c).value, hopf_belt_speed)
     )
     for name, slope in known.items():
         assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-8)
@@ -335,7 +335,7 @@ def test_a_dry_fold_has_its_slopes_and_ends_in_the_generalised_hopf_point():
     def value(chain):
         return find_special_cycle(grazing, chain).value
 
-    slopes, expected = (jax.grad(f)(chain).numbers() for f in (value, dry_fold_belt_speed))
+    slopes, expected = (jax.grad(f)(chain).parameters() for f in (value, dry_fold_belt_speed))
     for name, slope in expected.items():
         assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-7)
     other = lambda q: value(chain.with_(damping_ratio=q))  # noqa: E731
@@ -517,7 +517,7 @@ def test_a_special_cycle_has_the_slopes_of_the_fold_in_all_numbers():
     chain = paper_chain(1, belt_speed=1.5, width=0.05)
     fold = fold_of(chain)
     slopes, known = (
-        jax.grad(f)(chain).numbers()
+        jax.grad(f)(chain).parameters()
         for f in (lambda c: find_special_cycle(fold, c).value, fold_belt_speed)
     )
     for name, slope in known.items():

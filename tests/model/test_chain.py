@@ -188,7 +188,7 @@ def test_a_law_alone_is_dry_friction():
     assert chain.with_(width=1e-3).with_(width=None, mu_static=1.2).dry
     assert float(chain.with_(mu_static=1.2).law.mu_static) == 1.2
     assert float(chain.width) == float(chain.stick_speed()) == 0.0
-    assert "width" not in chain.numbers()
+    assert "width" not in chain.parameters()
     # Slower than the belt, as fast, and faster: friction pulls forward, holds, and pulls back.
     v = jnp.array([1.0, 1.5, 2.0])
     mu = float(LAW.coefficient(0.5))

@@ -326,7 +326,7 @@ def test_a_law_of_ones_own_is_compiled_once_for_all_its_numbers():
 
 def test_static_fields_are_no_numbers_and_outlive_a_change():
     law = Rational(1.0, 0.5, power=3)
-    assert list(law.numbers()) == ["mu_static", "v_ref"]
+    assert list(law.parameters()) == ["mu_static", "v_ref"]
     changed = law.with_(v_ref=0.25)
     assert (changed.mu_static, changed.v_ref, changed.power) == (1.0, 0.25, 3)
 

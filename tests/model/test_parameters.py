@@ -47,8 +47,8 @@ def test_every_number_of_a_shipped_law_stands_in_the_table_and_every_row_is_one(
 def test_every_number_is_changed_by_its_name(name):
     chain = chain_of()
     changed = chain.with_(**{name: 0.9 * USUAL[name]})
-    assert {k for k, v in changed.numbers().items() if v != chain.numbers()[k]} == {name}
-    assert set(changed.numbers()) == set(PARAMETERS)
+    assert {k for k, v in changed.parameters().items() if v != chain.parameters()[k]} == {name}
+    assert set(changed.parameters()) == set(PARAMETERS)
 
 
 @pytest.mark.parametrize("row", PARAMETERS.values(), ids=PARAMETERS)
@@ -72,7 +72,7 @@ def test_there_are_as_many_numbers_as_masses_or_springs(row, ends):
     for length in (N - 1, N, N + 1):
         changes = {"ends": ends, row.name: jnp.full(length, USUAL[row.name])}
         if length == count:
-            assert chain_of(**changes).numbers()[row.name].shape == (length,)
+            assert chain_of(**changes).parameters()[row.name].shape == (length,)
         else:
             with pytest.raises(ValueError, match=rf"`{row.name}` must .* shape \({length},\)"):
                 chain_of(**changes)

@@ -117,7 +117,7 @@ def one_of(cells, n, k):
     """The numbers of cell k of n."""
     numbers = {
         name: np.broadcast_to(np.asarray(value), (n,))[k]
-        for name, value in cells.numbers().items()
+        for name, value in cells.parameters().items()
     }
     return SimpleNamespace(law=getattr(cells, "law", None), **numbers)
 
@@ -439,12 +439,12 @@ def test_what_a_constructor_refuses_with_refuses_too():
 @pytest.mark.parametrize("cls", CLASSES)
 def test_with_changes_one_number(cls):
     cells = some(cls, 2)
-    for name, value in cells.numbers().items():
+    for name, value in cells.parameters().items():
         changed = cells.with_(**{name: 0.9 * value})
         assert type(changed) is cls
-        for other, number in changed.numbers().items():
+        for other, number in changed.parameters().items():
             np.testing.assert_array_equal(
-                number, (0.9 if other == name else 1.0) * cells.numbers()[other]
+                number, (0.9 if other == name else 1.0) * cells.parameters()[other]
             )
     with pytest.raises(ValueError, match=r"does not know \['nothing'\]"):
         cells.with_(nothing=1.0)
@@ -452,7 +452,7 @@ def test_with_changes_one_number(cls):
 
 def test_a_fault_takes_the_numbers_of_its_friction():
     fault = BurridgeKnopoff(FRICTION, 0.3)
-    assert fault.numbers().keys() > FRICTION.numbers().keys()
+    assert fault.parameters().keys() > FRICTION.parameters().keys()
     assert fault.with_(width=0.02, mu_dynamic=0.4, speed=0.1).friction.law.mu_dynamic == 0.4
 
 
@@ -471,7 +471,7 @@ def test_runs_can_be_differentiated_and_batched(cells, name, slope):
         run = simulate(cells.with_(**{name: value}), start, 2.0, rtol=1e-10)
         return jnp.sum(run.state[0] ** 2)
 
-    at = float(cells.numbers()[name])
+    at = float(cells.parameters()[name])
     low, middle, high = jax.vmap(end)(jnp.array([0.999, 1.0, 1.001]) * at)
     np.testing.assert_allclose(middle, end(at), rtol=1e-9)
     np.testing.assert_allclose(slope(end)(at), (high - low) / (0.002 * at), rtol=1e-4)

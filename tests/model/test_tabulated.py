@@ -90,7 +90,7 @@ def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
     for kept in (ring, one_mass(ring, 3)):
         own: Any = kept.law
         np.testing.assert_array_equal(own.pieces, law().pieces)
-    assert "pieces" not in ring.numbers()
+    assert "pieces" not in ring.parameters()
     with pytest.raises(ValueError, match="does not know"):
         ring.with_(pieces=1.0)
 

@@ -139,7 +139,7 @@ def _not_numbers() -> Iterator[Refusal]:
             *_tried(partial(sweep, chain, start, over=over), {**control, "lanes": 2}),
             *(
                 partial(sweep, chain, start, 1.0, over={name: [1.0, bad]})
-                for name in (*CHAIN, *chain.friction.numbers())
+                for name in (*CHAIN, *chain.friction.parameters())
                 for bad in NOT_NUMBERS
             ),
             *(partial(sweep, chain, (start[0] + bad, start[1]), 1.0, over=over)

@@ -486,8 +486,8 @@ def test_ready_made_cells_are_made_from_their_tables(modes):
     smoothed = TanhFriction(Coulomb(0.5), 0.2)
     wanted = BurridgeKnopoff(smoothed, jnp.array([0.1, 0.2]), coupling=2.0, ends="free")
     assert str(made) == str(wanted)
-    for name, value in wanted.numbers().items():
-        np.testing.assert_array_equal(made.numbers()[name], value)
+    for name, value in wanted.parameters().items():
+        np.testing.assert_array_equal(made.parameters()[name], value)
     np.testing.assert_array_equal(start(made), [[0.1, 0.1], [0.0, 0.0]])
     numbers = "mass=1,stiffness=1,speed=1,normal_stress=1,direct_effect=1,evolution_effect=1"
     more = "slip_length=1,reference_friction=0,law='slip'"
