@@ -91,7 +91,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """The names of the parameters that may differ from run to run of a sweep."""
-        return tuple(self.numbers())
+        return tuple(self.parameters())
 
     def has_parameter(self, name: str) -> bool:
         """Whether this is one of the `parameter_names`, or an entry of one."""
@@ -124,7 +124,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
 
     def description(self, n: int) -> dict[str, Any]:
         """What tells this model of n cells from others, for the attributes of a dataset."""
-        return {"n": n, "oscillators": type(self).__name__, **self.numbers()}
+        return {"n": n, "oscillators": type(self).__name__, **self.parameters()}
 
     def check_locality(self, t: ScalarLike, y: State) -> None:
         """Raises `ValueError` if the forces at a state are not those that a solver sees."""
@@ -251,10 +251,10 @@ class AbstractModel(PrintedAsCall, eqx.Module):
 
         Entries of arrays are numbers, too: `with_(**{"stiffness[0, 1]": 0.3})`.
         """
-        field, known, of = self, self.numbers(), f"`{type(self).__name__}.with_`"
+        field, known, of = self, self.parameters(), f"`{type(self).__name__}.with_`"
         changes = with_entries(changes, known, of, self._symmetric)
         if self.given_friction is not None:
-            numbers = {k: changes.pop(k) for k in self.given_friction.numbers() if k in changes}
+            numbers = {k: changes.pop(k) for k in self.given_friction.parameters() if k in changes}
             if "width" in changes and "width" not in known:  # smooths dry friction
                 numbers["width"] = changes.pop("width")
             if numbers:
@@ -292,7 +292,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
 
     def parameters(self) -> dict[str, Array]:
         """The arrays among the fields, and the numbers of the field `friction`, by name."""
-        friction = {} if self.given_friction is None else self.given_friction.numbers()
+        friction = {} if self.given_friction is None else self.given_friction.parameters()
         arrays = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
         if taken := sorted(friction.keys() & arrays.keys()):
             raise ValueError(
@@ -303,7 +303,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
 
     def value_of(self, name: str) -> Array:
         """The number of this name, or an entry of one: `value_of("stiffness[0, 1]")`."""
-        numbers = self.numbers()
+        numbers = self.parameters()
         if array_of(name) is not None:
             return entry(name, numbers)
         check_known("The model", [name], numbers)
