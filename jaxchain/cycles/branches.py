@@ -39,9 +39,7 @@ from ..continuation.branch import (
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass, as_parameter
-from ..model.chain import Chain, require_smoothed
-from ..model.oscillators import AbstractOscillators
-from ..model.parameters import SPEED, Parameter, parameter
+from ..model.chain import require_smoothed
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import amplitude_variables
 from ..observers.base import renamed
@@ -565,9 +563,8 @@ class CycleBranch(Printed):
     def _named(self, states: list[np.ndarray]) -> Iterator[tuple[str, np.ndarray, str]]:
         """Name, values and unit of each number of a cell."""
         field = self.shooting.field
-        units = ["x0", SPEED] if isinstance(field, AbstractOscillators) else ["1"] * len(states)
-        for i, (part, unit) in enumerate(zip(states, units, strict=True)):
-            yield field.variable(i).name, part, unit
+        for i, part in enumerate(states):
+            yield field.variable(i).name, part, field.variable(i).unit
 
     def to_dataset(self) -> Dataset:
         """The branch as an `xarray.Dataset`, with the names and units of those of `sweep`.
@@ -603,9 +600,7 @@ class CycleBranch(Printed):
         from xarray import Dataset
 
         special, k = self.special, len(self.parameter)
-        row = parameter(self.name)
-        if not isinstance(self.shooting.field, Chain):
-            row = Parameter(self.name, self.name)
+        row = self.shooting.field.parameter(self.name)
         # All cycles; those of the special points come last.
         parameters, period, amplitude, multipliers = (
             np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
@@ -620,7 +615,7 @@ class CycleBranch(Printed):
             self.scaled_peak_velocity, _scaled_peak_velocity(self.shooting, u)
         )
         field = self.shooting.field
-        time = "1 / omega_n" if isinstance(field, AbstractOscillators) else "1"
+        time = field.time_unit
         speed = getattr(field, "belt_speed", None)
         speed = parameters if self.name == "belt_speed" else speed
         labels = renamed(amplitude_variables(jnp.asarray(amplitude), speed), field, 0)
@@ -954,6 +949,5 @@ def _same_place(one: CyclePoint, other: SpecialPoint) -> bool:
 def _scaled_peak_velocity(shooting: Shooting, u: np.ndarray) -> np.ndarray:
     s = np.sinh(u[:, shooting.place])
     field = shooting.field
-    switches = isinstance(field, AbstractOscillators)
-    switches = switches and field.switching(0.0, jnp.zeros(shooting.n)) is not None
+    switches = field.switching(0.0, jnp.zeros(shooting.n)) is not None
     return s if switches else np.full_like(s, np.nan)
