@@ -326,6 +326,11 @@ class MechanicalCells(AbstractCells):
             return super()._place(name)
         return lambda cells: cells.plus[name].factor
 
+    def description(self, n: int) -> dict[str, Any]:
+        """Also the matrices of `plus`."""
+        plus = {name: added.matrices for name, added in (self.plus or {}).items()}
+        return super().description(n) | ({"plus": plus} if plus else {})
+
     def parameters(self) -> dict[str, Array]:
         """The arrays among the fields, the numbers of the law, the parameters of `plus`."""
         return super().parameters() | {name: a.factor for name, a in (self.plus or {}).items()}

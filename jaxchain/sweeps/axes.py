@@ -55,9 +55,13 @@ def check_axes(
     for dim, given in over.items():
         # A data frame has columns, but is not a mapping.
         together = isinstance(given, Mapping) or hasattr(given, "columns")
-        axes[dim] = {name: np.asarray(given[name]) for name in given} if together else {}
-        if not together:
-            axes[dim][dim] = np.asarray(given)
+        if together:
+            axes[dim] = {name: np.asarray(given[name]) for name in given}
+            continue
+        values = np.asarray(given)
+        # One number per mass, or a matrix, for each run: drawn at random, as a rule.
+        drawn = values.ndim > 1 and chain.has_parameter(dim)
+        axes.setdefault("realisation" if drawn else dim, {})[dim] = values
     names = [name for columns in axes.values() for name in columns]
     for dim, columns in axes.items():
         for name in columns:
@@ -73,7 +77,7 @@ def check_axes(
                     f"a parameter of `initial` or `vary`{did_you_mean(name, known)}; allowed are "
                     f"{known}."
                 )
-            _check_column(dim, name, columns, not number)
+            _check_column(dim, name, columns)
             if number:
                 columns[name] = columns[name].astype(float)
         if not columns or (dim in names and dim not in columns):
@@ -95,31 +99,20 @@ def check_axes(
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
     columns = columns_of(axes)
-    left = [
-        k for k in columns if chain.has_parameter(k) and not chain.check_parameter(k, columns[k])
-    ]
+    own = {k: values for k, values in columns.items() if chain.has_parameter(k)}
+    left = [k for k, a in own.items() if not chain.check_parameter(k, a) or a.ndim > 1]
     for row in extremes(axes, left):
         chain.with_(**row)  # also for those of a law that contradict each other
     return axes
 
 
-def _check_column(dim: str, name: str, columns: dict[str, np.ndarray], arrays: bool) -> None:
+def _check_column(dim: str, name: str, columns: dict[str, np.ndarray]) -> None:
     values = columns[name]
     label = f"over[{dim!r}]" if name == dim else f"over[{dim!r}][{name!r}]"
-    if values.size == 0 or not (values.ndim == 1 or (arrays and values.ndim > 1)):
-        remedy = "."
-        if arrays:
-            remedy = ": its first axis counts the runs."
-        elif values.ndim > 1 and values.size:
-            remedy = (
-                f": for one {name} per mass and run, give a function `vary=lambda chain, numbers: "
-                f"chain.with_({name}=numbers)` and these values as "
-                '`over={"sample": {"numbers": ...}}`, or random ones by '
-                "`jaxchain.localization.mistuned_chain`."
-            )
+    if values.size == 0 or values.ndim == 0:
         raise ValueError(
-            f"Argument `{label}` must be a non-empty one-dimensional array, but has shape "
-            f"{values.shape}{remedy}"
+            f"Argument `{label}` must be a non-empty array, but has shape {values.shape}: its "
+            "first axis counts the runs."
         )
     first = next(iter(columns))
     if len(values) != len(columns[first]):

@@ -93,12 +93,13 @@ def sweep(
     - `initial`: the pair (x, v) (of cells a tuple of m arrays), or a function (chain, **own) ->
       (x, v) that JAX can trace; its other parameters come from `over`.
     - `t1`, `t0`: dimensionless times.
-    - `over`: an ordered mapping from names to one-dimensional arrays.  A name is a number of the
+    - `over`: an ordered mapping from names to arrays.  A name is a number of the
       chain or of its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`,
       `mu_static`, ...), or a parameter of `initial` or `vary` (`excited`, a seed, ...).  To vary
       several of them together, such as measured sets or random starts, map a dimension to a
-      mapping or data frame: `{"sample": {"belt_speed": speeds, "x0": starts}}`.  Parameters of
-      `initial` and `vary` may have further axes, such as shape (samples, n).
+      mapping or data frame: `{"sample": {"belt_speed": speeds, "x0": starts}}`.  Values may have
+      further axes, such as shape (k, n) for k realisations of one stiffness per mass: alone, they
+      run along the dimension `realisation`.
     - `vary`: a function (chain, **own) -> chain that JAX can trace, for changes of several
       numbers, such as one random stiffness per mass (`jaxchain.localization.mistuned_chain`).  Its
       other parameters come from `over`, and `initial` receives the new chain.

@@ -2,10 +2,12 @@
 
 import itertools
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import equation_8, paper_chain, sweep
+from jaxchain import Amplitude, equation_8, paper_chain, simulate, sweep
+from jaxchain.model import MechanicalCells
 from jaxchain.sweeps.axes import Grid, check_axes, check_chunks, chunks_of, jobs
 
 AXES = {
@@ -35,16 +37,37 @@ def test_blocks_are_the_grid(chunks):
     assert sum(block.size for block in blocks) == 30
 
 
-def test_numbers_per_mass_are_sent_to_vary():
-    values = {"stiffness": np.ones((100, 50))}
-    remedy = r"shape \(100, 50\): for one stiffness per mass and run, .*`vary=.*mistuned_chain`"
-    with pytest.raises(ValueError, match=remedy):
-        check_axes(paper_chain(50), equation_8, values)
-    numbers = np.random.default_rng(0).uniform(0.9, 1.1, (2, 3))
-    changed = lambda chain, numbers: chain.with_(stiffness=numbers)  # noqa: E731
-    over = {"sample": {"numbers": numbers, "excited": [1, 1]}}
-    data = sweep(paper_chain(3), equation_8, 5.0, vary=changed, over=over)  # as the error advises
-    assert data.sizes["sample"] == 2
+def test_numbers_per_mass_and_matrices_run_along_realisations():
+    rng, chain = np.random.default_rng(0), paper_chain(3)
+    over = {
+        "stiffness": rng.uniform(0.9, 1.1, (4, 3)), "damping_ratio": rng.uniform(0, 0.1, (4, 3)),
+        "belt_speed": [1.4, 1.5],
+    }  # fmt: skip
+    data = sweep(chain, equation_8(chain, 1), 5.0, over=over, lanes=2)
+    assert data.amplitude.dims == ("realisation", "belt_speed", "oscillator")
+    assert data.stiffness.dims == data.damping_ratio.dims == ("realisation", "oscillator")
+    for k in range(4):
+        numbers = {name: over[name][k] for name in ("stiffness", "damping_ratio")}
+        alone = chain.with_(belt_speed=1.5, **numbers)
+        run = simulate(alone, equation_8(chain, 1), 5.0, observe=Amplitude(0.5))
+        np.testing.assert_allclose(data.amplitude[k, 1], run.observed, rtol=1e-9)
+    for wrong in ({"stiffness": np.ones((4, 2))}, {"belt_speed": np.ones((4, 3))}):
+        with pytest.raises(ValueError, match="must be one number"):
+            check_axes(chain, equation_8(chain, 1), wrong)
+    unequal = over | {"damping_ratio": np.ones((5, 3))}
+    with pytest.raises(ValueError, match="must be of equal length"):
+        check_axes(chain, equation_8(chain, 1), unequal)
+    matrices = np.array([[[2.0, 0.5], [0.5, 1.0]], [[3.0, 0.2], [0.2, 1.5]]])
+    cells = MechanicalCells(matrices[0])
+    start = jnp.ones(1), *jnp.zeros((3, 1))
+    data = sweep(cells, start, 1.0, over={"stiffness": matrices})
+    frequencies = np.linalg.eigvalsh(matrices) ** 0.5
+    assert data.end_time.shape == (2,)
+    for k, found in enumerate(data.amplitude.values[:, 0]):
+        shapes = np.linalg.eigh(matrices[k])[1]
+        times = np.linspace(0.9, 1.0, 1001)
+        x = (shapes[0] * shapes[0]) @ np.cos(np.outer(frequencies[k], times))
+        assert found == pytest.approx(np.ptp(x) / 2, rel=1e-4)
 
 
 def test_a_grid_is_not_made_before_its_blocks_are():
