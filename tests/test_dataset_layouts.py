@@ -12,7 +12,7 @@ from layouts import PAGE, Row, differences, row_of, rows, tables
 from synthetic import cycle_branch, special_curve
 
 from jaxchain.basins import Box, basin_shares, share_differences
-from jaxchain.boundaries import continue_equilibrium, fold_belt_speeds
+from jaxchain.boundaries import complex_modes, continue_equilibrium, fold_belt_speeds
 from jaxchain.continuation import continue_branch
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.initial_states import equation_8
@@ -151,6 +151,9 @@ def test_branches():
     data = still.to_dataset()
     assert not differences(TABLES["Branches", "Of equilibria"], rows(data))
     assert set(data.attrs) <= attributes("Branches", "Of equilibria")
+    modes = complex_modes(SMOOTHED, over={"belt_speed": [1.0, 1.1]}).to_dataset()
+    assert not differences(TABLES["Branches", "Of complex modes"], rows(modes))
+    assert set(modes.attrs) <= attributes("Branches", "Of complex modes")
     numbers = "belt_speed", "damping_ratio"
     curve, unless = special_curve().to_dataset(), [*numbers, *(f"special_{n}" for n in numbers)]
     assert not differences(TABLES["Branches", "Of special points"], rows(curve, unless=unless))

@@ -717,5 +717,9 @@ def continue_equilibrium(
 def labels_of(chain: AbstractModel, m: int, name: str) -> Labels:
     """Of a branch of equilibria."""
     parts = [chain.variable(i) for i in range(m)]
-    attrs = {part.name: {"long_name": part.long_name, "units": part.unit} for part in parts}
+    words = [part.name if chain.components else part.long_name for part in parts]
+    attrs = {
+        part.name: {"long_name": name, "units": part.unit}
+        for part, name in zip(parts, words, strict=True)
+    }
     return Labels(name, chain.parameter(name).attrs, attrs)
