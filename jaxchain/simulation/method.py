@@ -67,7 +67,7 @@ class Method(PrintedAsCall, eqx.Module):
         >>> chain, precise = paper_chain(1, width=1e-2), Method(rtol=1e-9)
         >>> run = simulate(chain, equation_8(chain, 1), 10.0, method=precise)
         >>> precise.suited(chain, 1)
-        Method(solver=Rodas5P(sweeps=1), rtol=1e-09, atol=1e-10, max_step=0.5)
+        Method(solver=Rodas5P, rtol=1e-09, atol=1e-10, max_step=0.5)
     """
 
     solver: dfx.AbstractSolver | EventDriven | None = None
