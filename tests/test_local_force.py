@@ -318,7 +318,7 @@ def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
 @pytest.mark.parametrize(
     ("asked", "message"),
     [
-        ({"accuracy": 1e-2}, "`accuracy` needs a `Chain`.* VanDerPol: leave it out"),
+        ({"accuracy": 1e-2}, "`accuracy` picks the width.* VanDerPol has none: leave it"),
         ({"observe": EnergyBalance()}, "`EnergyBalance` needs dampers and a belt, a `Chain`"),
         ({"observe": StickTime()}, "`StickTime` needs masses that can stick"),
     ],

@@ -539,6 +539,7 @@ def edge_state(
             f"Argument `far` must be at least ten times `near` = {near}, but is {shown(far)}: "
             "the ends of the bracket run on from the one distance to the other."
         )
+    check_positive_number("rtol", rtol, "1e-6 is usual.")
     solver = Method(solver, rtol).checked(chain, quiet[0].size).solver
     length, forced = to_float(window), chain.forcing_period()
     if forced is not None:

@@ -351,7 +351,7 @@ def check_region(region: Any, chain: Any) -> int:
     m = len(chain.variables) or len(shapes)
     if not shapes or len(shapes) != m or not set(shapes) <= {(), (n,)}:
         raise ValueError(
-            f"Argument `region` must make tuples of {m or 'm'} arrays of shape ({n},), but makes "
+            f"Argument `region` must make {chain.state_in_words} of shape ({n},) each, but makes "
             f"{shown(state)}."
         )
     chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable

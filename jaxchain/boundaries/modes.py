@@ -256,14 +256,17 @@ def complex_modes(
         >>> print(modes.growth_rate.max(axis=1).round(3) + 0.0)
         [0.    0.    0.091]
     """
-    as_chain(model, AbstractModel)
+    as_chain(model, AbstractModel, name="model")
     state = near_equilibrium(model, guess)
     check_autonomous(model, state)
     limit = check_tolerance(tolerance, max_steps)
     check_flag("throw", throw)
     check_kind("over", over, Mapping | None, "a dict of one parameter and its values", "")
     if over is not None and len(over) != 1:
-        raise ValueError(f"Argument `over` must name one parameter, but names {[*over]}.")
+        raise ValueError(
+            f"Argument `over` must name one parameter, but is {shown(over)}: name it with its "
+            'values, such as {"belt_speed": [1.0, 1.5]}.'
+        )
     name, values = next(iter((over or {None: jnp.zeros(1)}).items()))
     if name is not None:
         as_parameter(model, name, "over")

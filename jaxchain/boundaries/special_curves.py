@@ -896,7 +896,11 @@ def continue_special(
     check_concrete("use `find_special_cycle` or `find_hopf_point`.", chain=equations.field)
     q = float(as_parameter(equations.field, second, "second"))
     if second == first:
-        raise ValueError(f"Argument `second` must be another number than the first, `{first}`.")
+        others = sorted(equations.field.parameters().keys() - {first})
+        raise ValueError(
+            f"Argument `second` must be another parameter than the first, `{first}`: one of "
+            f"{others}."
+        )
     U, ranges = np.append(U, q), _ranges(bounds, first, second)
     for name, value in zip(ranges, U[-2:], strict=True):
         if not ranges[name][0] <= value <= ranges[name][1]:

@@ -878,6 +878,7 @@ def verdicts(
     times = (first, "first"), (longest, "longest"), (exponent_time, "exponent_time")
     for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
+    check_positive_number("rtol", rtol, "1e-6 is usual.")
     solver = Method(solver, rtol).checked(chain, first_state[0].size).solver
     if np.shape(to_float(noise, "noise", _NOISE)) != (len(np.ravel(noise)),):
         raise ValueError(f"Argument `noise` must be a sequence, but is {shown(noise)}: {_NOISE}")

@@ -27,13 +27,15 @@ _STATES = "see `excited_state` for initial states."
 _Kind = TypeVar("_Kind", bound=AbstractModel)
 
 
-def as_chain(chain: Any, kind: type[_Kind] = Chain, remedy: str = "") -> _Kind:
+def as_chain(
+    chain: Any, kind: type[_Kind] = Chain, remedy: str = "", name: str = "chain"
+) -> _Kind:
     """The chain, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
     require_x64()
     others = {Chain: "", AbstractOscillators: " or other `AbstractOscillators`"}
     other = others.get(kind, ", or other `AbstractOscillators` or `AbstractCells`")
-    check_kind("chain", chain, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
-    require_64_bits("chain", chain)
+    check_kind(name, chain, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
+    require_64_bits(name, chain)
     return chain
 
 
@@ -69,11 +71,14 @@ def as_state(
     shapes = {part.shape for part in parts}
     other = parts[0].shape[-1:] != (n,) and n is not None
     if len(shapes) > 1 or other or parts[0].ndim != 1 + batch or not parts[0].size:
+        last = parts[0].shape[-1] if n is None and names and parts[0].ndim else n
+        size = size if last is None else f"({last},)"
+        masses = "" if n is None else " for one mass" if n == 1 else f" for {n} masses"
         shape = f"{size}: use `jax.vmap` or `sweep` for many"
         shape = f"(states, {size[1:-2]})" if batch else shape
         raise ValueError(
-            f"Argument `{name}` has parts of shapes {[part.shape for part in parts]}, but"
-            f"{'' if n is None else f' for {n} masses'} must be {wanted} of one shape {shape}."
+            f"Argument `{name}` has parts of shapes {' and '.join(str(a.shape) for a in parts)}, "
+            f"but{masses} must be {wanted} of one shape {shape}."
         )
     for part, label in zip(parts, labels, strict=True):
         check_finite(label, part, _STATES)

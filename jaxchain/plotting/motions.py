@@ -324,8 +324,8 @@ def sticking(chain: AbstractModel, states: Any) -> np.ndarray:
     shapes = {part.shape for part in parts}
     if len(shapes) > 1 or parts[0].shape[1] != (chain.n or parts[0].shape[1]):
         raise ValueError(
-            f"Argument `states` has parts of shapes {[part.shape for part in parts]}, but must "
-            f"have parts of one shape, (times, {chain.n or 'n'})."
+            f"Argument `states` has parts of shapes {' and '.join(str(a.shape) for a in parts)}, "
+            f"but all must have one shape, (times, {chain.n or 'n'})."
         )
     rounding = RESOLUTION * (1.0 + jnp.abs(model.belt_speed)) if model.dry else 0.0
     limit = model.stick_speed() + rounding

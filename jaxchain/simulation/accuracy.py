@@ -93,7 +93,7 @@ def choose_numerics(chain: AbstractModel, accuracy: Any) -> Numerics:
     >>> print(f"width {float(chosen.width):.1e}, rtol {float(chosen.rtol):.1e}, {chosen.solver}")
     width 4.2e-04, rtol 2.8e-05, Rodas4(sweeps=1)
     """
-    check_accuracy(chain, accuracy)
+    _check(chain, accuracy)
     law, load, speed, unit = cast(tuple, chain.friction_scales())
     load = unit * jnp.max(load)  # forces count by the velocities that they give
     zero = jnp.zeros_like(jnp.asarray(law.mu_static, float))
@@ -116,10 +116,19 @@ def choose_numerics(chain: AbstractModel, accuracy: Any) -> Numerics:
     return Numerics(*lax.stop_gradient((width, rtol)), solver)
 
 
-def check_accuracy(model: AbstractModel, accuracy: Any, rtol: Any = None) -> None:
-    """Raises `ValueError` unless `accuracy` can pick a width and `rtol` for this model."""
-    as_chain(model, AbstractModel)
+def check_accuracy(model: AbstractModel, accuracy: Any, rtol: Any) -> None:
+    """Raises `ValueError` unless `accuracy` can pick the width and `rtol` of a run."""
     require_smoothed(model, NO_ACCURACY)
+    _check(model, accuracy)
+    if rtol is not None:
+        raise ValueError(
+            "Argument `accuracy` picks the width and `rtol`: give either it or `rtol`, but "
+            f"`rtol` is {rtol!r}."
+        )
+
+
+def _check(model: AbstractModel, accuracy: Any) -> None:
+    as_chain(model, AbstractModel)
     if model.friction_scales() is None:
         raise ValueError(
             "Argument `accuracy` picks the width of smoothed friction, of which a "
@@ -131,9 +140,4 @@ def check_accuracy(model: AbstractModel, accuracy: Any, rtol: Any = None) -> Non
             f"Argument `accuracy` must lie between {LEAST_ACCURACY:g} and {MOST_ACCURACY:g}, but "
             f"is {accuracy}: it is a relative error. For less error use `EventDriven()`, which "
             "has no width."
-        )
-    if rtol is not None:
-        raise ValueError(
-            "Argument `accuracy` picks the width and `rtol`: give either it or `rtol`, but "
-            f"`rtol` is {rtol!r}."
         )

@@ -453,8 +453,8 @@ class Clocked(AbstractCells):
     ("cells", "initial", "match"),
     [
         (Clocked(jnp.asarray(1.0)), alone(1, 0), "forcing_period"),
-        (VanDerPol(1.0), alone(1, 0, 0), "cannot take a state of 3 arrays"),
-        (VanDerPol(1.0), jnp.ones(2), "must be a tuple of arrays"),
+        (VanDerPol(1.0), alone(1, 0, 0), "must be the pair"),
+        (VanDerPol(1.0), jnp.ones(2), "must be the pair"),
     ],
 )
 def test_a_state_or_force_of_cells_that_does_not_fit_is_refused(cells, initial, match):

@@ -391,7 +391,7 @@ def test_bad_input_is_named(slip):
         with pytest.raises(ValueError, match=words):
             find_limit_cycle(**{"chain": chain, **arguments})
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
-    with pytest.raises(ValueError, match="`guess` is None"):
+    with pytest.raises(ValueError, match="give a state as `guess`"):
         find_limit_cycle(field)
     one = paper_chain(1, belt_speed=1.0)
     points = hopf_points(one, (0.5, 3.0))

@@ -59,6 +59,12 @@ def _equilibria() -> Iterator[Row]:
         "find_hopf_point", boundaries.find_hopf_point, good | {"parameter": "belt_speed"},
         named | search | {"frequency": optional(NUMBER)},
     )  # fmt: skip
+    over = ("x", 3.0, {}, {"belt_speed": [1.0], "width": [1.0]}, {"belt_speed": [1.0, 1.0]})
+    yield Row(
+        "complex_modes", boundaries.complex_modes,
+        {"model": CHAIN, "over": {"belt_speed": [1.0, 1.5]}},
+        {"model": A_CHAIN, "over": over} | search,
+    )  # fmt: skip
     pairs = (None, "x", {}, 3.0, (1,), (2, 1), (math.nan, 1), ("a", "b"), (0, 1j))
     yield Row(
         "continue_equilibrium", boundaries.continue_equilibrium,

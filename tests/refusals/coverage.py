@@ -24,21 +24,23 @@ NOT_TRIED = {
             "LimitCycle", "CyclePoint", "CycleSearch", "CycleSymmetry",
             "Identification", "Profile", "Design", "Depinning",
             "FrontSpeed", "LinearModes", "LockedPattern", "PhaseModel", "LocalSlopes", "Step",
-            "StoreError", "SlidingBasin", "EdgeState", "Blow",
+            "ComplexModes", "StoreError", "SlidingBasin", "EdgeState", "Blow",
             "SweepInterrupted", "Settled",
         ),
         RESULT,
     ),
     **dict.fromkeys(
         (
-            "AbstractFrictionLaw", "AbstractCells", "AbstractOscillators", "AbstractObserver",
-            "AbstractStructuredRosenbrock", "AbstractRegion", "AbstractClassifier",
+            "AbstractFrictionLaw", "AbstractModel", "AbstractCells", "AbstractOscillators",
+            "AbstractObserver", "AbstractStructuredRosenbrock", "AbstractRegion",
+            "AbstractClassifier",
         ),
         BASE,
     ),
     **dict.fromkeys(("Divergence", "EnergyBalance", "MostSticking"), NO_ARGUMENT),
     **dict.fromkeys(("Variable", "DimensionalParameters"), RECORD),
     "figure_3": "calls `figure`",
+    "Method": "its fields are those of `simulate`, and checked where a run begins",
 }  # fmt: skip
 
 

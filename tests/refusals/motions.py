@@ -70,8 +70,8 @@ def _chaos() -> Iterator[Row]:
             "count": (*optional(COUNT), 7), "transient": (*NONNEGATIVE, 200.0),
             "interval": (*optional(POSITIVE), 50.0), "blocks": (*COUNT, 1, 10**9),
             "solver": SOLVERS, "rtol": TOLERANCE, "atol": (*optional(POSITIVE), 1e-300),
-            "max_step": POSITIVE, "max_steps": optional(COUNT), "seed": SEED, "progress": FLAG,
-            "throw": FLAG,
+            "max_step": optional(POSITIVE), "max_steps": optional(COUNT), "seed": SEED,
+            "progress": FLAG, "throw": FLAG,
         },
     )  # fmt: skip
     exponents = (None, "x", {}, 3.0, [], jnp.ones((2, 2)))

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from synthetic import cycle_branch, ladder, special_curve
 
 from jaxchain import plotting
+from jaxchain.boundaries import complex_modes
 from jaxchain.inverse import Profile
 from jaxchain.model import paper_chain
 
@@ -122,6 +123,9 @@ def _plots() -> Iterator[Row]:
         ),
     }  # fmt: skip
     yield Row("plot_branch", plotting.plot_branch, {"branch": branch}, bad)
+    modes = complex_modes(paper_chain(2), over={"belt_speed": [1.0, 1.5]})
+    bad = {"modes": (None, "x", {}, Told(runs, "excited")), "scales": scales}
+    yield Row("plot_modes", plotting.plot_modes, {"modes": modes}, bad)
     wrong = {**every, "curves": (None, "x", {}, [], 3.0, Told(data, "Dataset"))}
     yield Row(
         "plot_special_curves", plotting.plot_special_curves, {"curves": special_curve()}, wrong

@@ -50,7 +50,8 @@ TOO_LONG = (
 ARRAY = (None, "x", {}, object, 3.0, [], [1j])
 RUN = {
     "chain": A_CHAIN, "t1": NUMBER, "t0": NUMBER, "rtol": TOLERANCE,
-    "atol": (*optional(POSITIVE), 1e-300), "max_step": POSITIVE, "max_steps": optional(COUNT),
+    "atol": (*optional(POSITIVE), 1e-300), "max_step": optional(POSITIVE),
+    "max_steps": optional(COUNT),
     "accuracy": (*optional(POSITIVE), 1e-12, 2.0), "solver": SOLVERS,
     "segments": (*optional(COUNT), 10**9),
 }  # fmt: skip

@@ -152,8 +152,9 @@ def _cycles() -> Iterator[Row]:
     )
     wrong = {"branch": None, "point": None}
     yield Row("switch_cycle", cycles.switch_cycle, wrong, {"branch": (None, "x", 3)})
-    for name in ("monodromy_matrix", "liouville_determinant"):
-        yield Row(name, getattr(cycles, name), orbit, of_orbit)
+    yield Row("liouville_determinant", cycles.liouville_determinant, orbit, of_orbit)
+    both = of_orbit | {"chain": A_CHAIN}  # dry or smoothed
+    yield Row("monodromy_matrix", cycles.monodromy_matrix, orbit, both)
     matrix = (None, "x", {}, 3.0, jnp.ones(2), jnp.ones((2, 3)))
     yield Row(
         "floquet_multipliers", cycles.floquet_multipliers,

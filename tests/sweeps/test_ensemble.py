@@ -22,6 +22,7 @@ from jaxchain import (
     Chain,
     EventDriven,
     ExponentialDecay,
+    Method,
     PeakTimes,
     equation_8,
     paper_chain,
@@ -213,6 +214,9 @@ CHANGES = {
 def known(lanes=4, over=OVER, **changes):
     """By what a store would know such a sweep."""
     given = {"chain": CHAIN, "initial": equation_8, "t1": 20.0, "observe": Amplitude(window=5.0)}
+    fields = ("solver", "rtol", "atol", "max_step", "max_steps")
+    method = Method(**{name: changes.pop(name) for name in fields if name in changes})
+    given = given | {"method": method}
     return fingerprint_of(prepare(RunSettings(**(given | changes)), over, 10**6), lanes)
 
 
