@@ -213,10 +213,10 @@ CHANGES = {
 
 def known(lanes=4, over=OVER, **changes):
     """By what a store would know such a sweep."""
-    given = {"chain": CHAIN, "initial": equation_8, "t1": 20.0, "observe": Amplitude(window=5.0)}
+    given: Any = {"chain": CHAIN, "initial": equation_8, "t1": 20.0}
     fields = ("solver", "rtol", "atol", "max_step", "max_steps")
     method = Method(**{name: changes.pop(name) for name in fields if name in changes})
-    given = given | {"method": method}
+    given |= {"observe": Amplitude(window=5.0), "method": method}
     return fingerprint_of(prepare(RunSettings(**(given | changes)), over, 10**6), lanes)
 
 
