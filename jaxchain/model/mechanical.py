@@ -158,7 +158,7 @@ class MechanicalCells(AbstractCells):
         >>> from jaxchain.boundaries import find_hopf_point
         >>> Kf = jnp.array([[0.0, -1.0], [0.0, 0.0]])
         >>> pads = MechanicalCells([[2.0, 0.5], [0.5, 1.0]], damping=0.1, plus={"friction": Kf})
-        >>> flutter = find_hopf_point(pads.with_(friction=0.9), "friction", start)
+        >>> flutter = find_hopf_point(pads, "friction", start, bounds=(0.0, 2.0))
         >>> round(float(flutter.value), 4)
         1.03
     """
