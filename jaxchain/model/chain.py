@@ -245,7 +245,7 @@ class Chain(AbstractOscillators):
         return jnp.ones(()) if self.normal_load is None else self.normal_load
 
     def parameter(self, name: str) -> Parameter:
-        """The row of `jaxchain.model.parameters`; of a law of your own the name alone."""
+        """Words, symbol, unit and domain; of a parameter of your own law the name alone."""
         return parameter(name)
 
     @property
