@@ -345,7 +345,7 @@ class VibratingMasses(AbstractClassifier):
     def name(self, code: Int[np.ndarray, " k"], chain: Any) -> str:
         count = self.numbers(code, chain)["vibrating"]
         if count == 0:
-            return "sliding" if chain.frictional else "quiet"
+            return "sliding" if chain.frictional and np.any(chain.belt_speed != 0) else "quiet"
         if chain.n == 1:
             return "vibrating"
         verb = "vibrates" if count == 1 else "vibrate"
