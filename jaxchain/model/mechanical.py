@@ -260,6 +260,15 @@ class MechanicalCells(AbstractCells):
             if value.ndim == 3:
                 per_cell[name] = value[:, 0, 0]
         check_per_mass(**per_cell)
+        lengths = {name: len(a) for name, a in per_cell.items() if np.ndim(a)}
+        if self.n is not None:
+            check_whole("n", self.n, remedy="it is the number of cells.")
+        for name, length in lengths.items():
+            if self.n not in (None, length):
+                raise ValueError(
+                    f"Argument `{name}` has {length} entries, but there are `n` = {self.n} cells: "
+                    "give one number, or one for each."
+                )
         at_rest = (jnp.zeros(1),) * d
         self._check_law("spring", self.spring, "e", at_rest)
         self._check_law("local_force", self.local_force, "q, v", at_rest, at_rest)

@@ -247,6 +247,8 @@ def test_a_law_cannot_have_a_number_of_the_cell():
         ({"local_force": lambda q, v: q[:1]}, "that returns a tuple of 2 forces"),
         ({"normal_load": -1.0}, "Argument `normal_load`"),
         ({"belt_speed": [1.0, 2.0]}, "Argument `belt_speed`"),
+        ({"n": 4}, "Argument `normal_load` has 3 entries, but there are `n` = 4 cells"),
+        ({"n": 0, "normal_load": 1.0}, "Argument `n` must be"),
         ({"names": ("x",)}, "Argument `names` must have 2 names"),
         (
             {"local_force": lambda q, v: (jax.lax.lgamma(2.0 + q[0] ** 2), q[1])},
