@@ -896,7 +896,8 @@ def continue_special(
     check_concrete("use `find_special_cycle` or `find_hopf_point`.", chain=equations.field)
     q = float(as_parameter(equations.field, second, "second"))
     if second == first:
-        others = sorted(equations.field.parameters().keys() - {first})
+        numbers = equations.field.parameters()
+        others = sorted(k for k in numbers if np.shape(numbers[k]) == () and k != first)
         raise ValueError(
             f"Argument `second` must be another parameter than the first, `{first}`: one of "
             f"{others}."
