@@ -137,7 +137,7 @@ class HopfPoint(Outcome):
 class Rates(eqx.Module):
     """The rates of a model as a function of the concatenated state, and of one of its numbers.
 
-    `direction` of dry friction: that of sliding masses, or STICK; None for a smooth model.
+    `direction`: in which masses slide under dry friction, or STICK; None for a smooth model.
     """
 
     field: AbstractModel
@@ -235,7 +235,7 @@ def find_equilibrium(
     """The equilibrium of a model near a state, stable or not, by damped Newton steps.
 
     With dry friction all masses slide, at w = -v_d; if the belt stands still they stick, and the
-    equilibria fill an `interval`.  Then the displacements of the contacts are those of `guess`
+    equilibria fill an `interval`.  Then the contacts keep the displacements of `guess`
     where friction can hold them; other masses move until it can.
 
     **Arguments:** `chain`: a `Chain`, `AbstractCells` or `AbstractOscillators`, without forcing;

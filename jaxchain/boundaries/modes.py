@@ -91,7 +91,7 @@ class ComplexModes(Outcome):
         (parameter, mode, component, oscillator), `equilibrium` over (parameter, component,
         oscillator); the coordinate of the parameter.
 
-        **Raises:** `ValueError` for traced modes, and for those of many models.
+        **Raises:** `ValueError` for traced modes, and for the modes of many models.
         """
         from xarray import Dataset  # it imports pandas, which takes long
 
@@ -287,7 +287,7 @@ def complex_modes(
         raise RuntimeError(
             f"No equilibrium was found at any value, the last residual is "
             f"{float(found.residual[0]):.1e}: start closer (`guess`), and with dry friction let "
-            "the belt move, because modes are those of sliding masses."
+            "the belt move, because only sliding masses have modes."
         )
     kept = ~np.all(np.isnan(found.eigenvalues), axis=0)
     return eqx.tree_at(
