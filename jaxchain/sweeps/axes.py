@@ -102,7 +102,16 @@ def check_axes(
     own = {k: values for k, values in columns.items() if chain.has_parameter(k)}
     left = [k for k, a in own.items() if not chain.check_parameter(k, a) or a.ndim > 1]
     for row in extremes(axes, left):
-        chain.with_(**row)  # also for those of a law that contradict each other
+        try:
+            chain.with_(**row)  # also for those of a law that contradict each other
+        except ValueError as error:
+            drawn = [name for name, value in row.items() if np.ndim(value)]
+            if not drawn:
+                raise
+            raise ValueError(
+                f"Argument `over` gives one value of {drawn} for each entry of the first axis. "
+                f"Of one of them: {error}"
+            ) from error
     return axes
 
 

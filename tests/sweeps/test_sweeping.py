@@ -364,8 +364,11 @@ def test_parameters_go_together_along_one_dimension():
     [
         ({"over": {}}, "must name at least one quantity"),
         ({"over": {"excited": [1], "speed": [1.0]}}, "names 'speed', which is neither"),
-        ({"over": {"excited": []}}, "non-empty one-dimensional"),
-        ({"over": {"excited": [1], "set": {"width": [[1e-3]]}}}, r"over\['set'\]\['width'\]"),
+        ({"over": {"excited": []}}, "must be a non-empty array"),
+        (
+            {"over": {"excited": [1], "set": {"width": [[1e-3]]}}},
+            r"gives one value of \['width'\] for each entry .* has shape \(1,\)",
+        ),
         (
             {"over": {"set": {"excited": [1], "width": [1e-3, 1e-4]}}},
             "has 2 values, but 'excited'",
