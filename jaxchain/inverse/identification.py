@@ -393,7 +393,7 @@ def _profile(
             return jnp.where(inside, jnp.sum(fixed.residuals(start) ** 2), jnp.nan)
         return _fit(fixed, start, steps)[0].chi_squared
 
-    chi = jax.vmap(best)(values)
+    chi = lax.map(best, values)  # not `vmap`: whose compilation takes half as long again
     root = jnp.sign(values - flat[place]) * jnp.sqrt(jnp.maximum(chi - found.chi_squared, 0.0))
     limit = jax.scipy.stats.norm.ppf(0.5 + 0.5 * confidence)
     # Values without a fit are left out: they come last, beyond all others.
@@ -424,9 +424,9 @@ def _best_fit(
         starts, length = jnp.concatenate([starts, given], axis=1), jnp.ptp(measured.times)
         clocks = jnp.append(jnp.geomspace(jnp.minimum(_BEGINNING, length), length, _PARTS), clocks)
     elif isinstance(measured, Signal):
-        cycles = jax.vmap(partial(_waveform, problem))(starts)
+        cycles = lax.map(partial(_waveform, problem), starts)
         clock = measured.period(cycles.period[0])
-        phases = jax.vmap(lambda cycle: cycle.phase(measured, clock))(cycles)
+        phases = lax.map(lambda cycle: cycle.phase(measured, clock), cycles)
         starts = jnp.concatenate([starts, phases[:, None]], axis=1)
         clocks = jnp.append(clock[None], clocks)  # first the shape of the cycle, then every value
 
@@ -435,7 +435,7 @@ def _best_fit(
         return z, (fit, hints)
 
     # One after the other in a loop, so that a fit is compiled once.
-    fits = jax.vmap(lambda z: lax.scan(stage, z, clocks)[1])(starts)
+    fits = lax.map(lambda z: lax.scan(stage, z, clocks)[1], starts)
     fits = jax.tree.map(lambda leaf: leaf[:, -1], fits)
     chi = jnp.where(jnp.isfinite(fits[0].chi_squared), fits[0].chi_squared, jnp.inf)
     return jax.tree.map(lambda leaf: leaf[jnp.argmin(chi)], fits)
@@ -453,8 +453,9 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
     m, p = problem.count, start.size
     enough = _SIGNAL_GAIN if problem.extra else _GAIN
 
-    def step(now: _Fit, curved: bool = False) -> tuple[Array, Array, Array]:
-        """(step, the fall of chi^2 that a linear model expects of it, the edges that bend it)."""
+    def step(now: _Fit) -> tuple[Array, Array, Array, Callable[[Array], Array]]:
+        """(step, the fall of chi^2 that a linear model expects of it, the edges that bend it, the
+        step along the curve of least squares when the residuals a part of the way are known)."""
         # A number without effect has no scale of its own.
         size = jnp.where(now.z == 0, 1.0, jnp.abs(now.z))
         lengths = _lengths(now.slopes) * size
@@ -467,14 +468,15 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         move, bent = stay_inside(problem.margins, now.z, free, metric)
         fall = scaled @ (lengths * move)
         gain = jnp.sum(fall * (2.0 * now.residuals - fall))
-        if curved:
-            ahead = problem.residuals(now.z + _AHEAD * move)
+
+        def curved(ahead: Array) -> Array:
             bend = (now.residuals - ahead) / _AHEAD - fall
             bend = -jnp.linalg.solve(matrix, scaled.T @ bend) / _AHEAD
             slight = jnp.linalg.norm(bend) <= _BEND * jnp.linalg.norm(lengths * move)
             bend = jnp.where(slight, bend, 0.0) / lengths
-            move, _ = stay_inside(problem.margins, now.z, move + bend, metric)
-        return move, gain, bent
+            return stay_inside(problem.margins, now.z, move + bend, metric)[0]
+
+        return move, gain, bent, curved
 
     def going(now: _Fit) -> Array:
         # The start itself has no gain yet; a start that predicts nothing ends the search.
@@ -484,9 +486,20 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
 
     def body(now: _Fit) -> _Fit:
         first = now.count == 0
-        move, _, _ = step(now, curved=problem.extra > 0)
-        trial = now.z + jnp.where(first, 0.0, move)
-        residuals, slopes, further = problem.linearised(trial)
+        move, _, _, curved = step(now)
+
+        # A signal is predicted a part of the way ahead, too: by the same program, in a loop, for
+        # compiling another one takes longer than the derivatives that it would not compute.
+        def predicted(whole: Any, at: tuple) -> tuple:
+            trial = now.z + jnp.where(first, 0.0, at[0])
+            found = problem.linearised(trial)
+            return jnp.where(whole, at[0], curved(found[0])), trial, found
+
+        ahead = jnp.asarray(problem.extra > 0) & ~first
+        shapes = now.z, (now.residuals, now.slopes, now.further)
+        _, trial, (residuals, slopes, further) = lax.fori_loop(
+            jnp.where(ahead, 0, 1), 2, predicted, (jnp.where(ahead, _AHEAD, 1.0) * move, *shapes)
+        )
         sound = jnp.all(jnp.isfinite(residuals)) & jnp.all(jnp.isfinite(slopes))
         share = jnp.sum(residuals**2) / jnp.sum(now.residuals**2)
         good = first | (sound & (share < 1.0))
@@ -497,7 +510,7 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         old = replace(now, damping=damping, gain=infinite, slow=slow, count=now.count + 1)
         taken = where(good, new, old)
         # Judged with little damping, so that a short step does not count as convergence.
-        _, gain, _ = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))
+        gain = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))[1]
         return eqx.tree_at(lambda f: f.gain, taken, gain)
 
     none = jnp.zeros((), int)
@@ -506,7 +519,7 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         none,
     )  # fmt: skip
     last = lax.while_loop(going, body, blank)
-    _, _, bent = step(eqx.tree_at(lambda f: f.damping, last, jnp.asarray(_LEAST)))
+    bent = step(eqx.tree_at(lambda f: f.damping, last, jnp.asarray(_LEAST)))[2]
 
     covariance, correlation, determined, condition = _curvature(last.slopes)
     own = slice(p - problem.extra)
