@@ -7,6 +7,7 @@ can be built under `jit`, `vmap` and `grad`; shapes are known even there and are
 import functools
 import inspect
 from collections.abc import Callable, Collection, Iterable, Sequence
+from types import CellType, FunctionType
 from typing import Any
 
 import equinox as eqx
@@ -233,6 +234,31 @@ def check_per_mass(**arguments: ArrayLike) -> None:
 def is_traced(*values: object) -> bool:
     """Whether any of the values, or any leaf of them, is being traced."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(values))
+
+
+def closed_over(function: FunctionType) -> list[Any]:
+    """What a function has in its closure."""
+    return [cell.cell_contents for cell in function.__closure__ or () if cell != CellType()]
+
+
+def require_signature(cls: type, **methods: str) -> None:
+    """Raises `TypeError` if `cls` defines a method that cannot be called with these arguments."""
+    for name, arguments in methods.items():
+        method = vars(cls).get(name)
+        if not inspect.isfunction(method):
+            continue
+        try:
+            inspect.signature(method).bind(*f"self, {arguments}".split(", "))
+        except TypeError:
+            raise TypeError(
+                f"Class `{cls.__name__}` defines `{name}{inspect.signature(method)}`, but it is "
+                f"called with ({arguments}): write `def {name}(self, {arguments})`."
+            ) from None
+        if is_traced(closed_over(method)):
+            raise TypeError(
+                f"Class `{cls.__name__}` defines `{name}` with a number that JAX traces in its "
+                "closure, in which searches would find no derivative: make it a field."
+            )
 
 
 def check_whole(

@@ -3,7 +3,6 @@
 This module does not need JAX.  Public classes are either abstract, for subclasses, or final.
 """
 
-import inspect
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -38,21 +37,6 @@ else:
 
         cls.__init_subclass__ = classmethod(refuse)
         return cls
-
-
-def require_signature(cls: type, **methods: str) -> None:
-    """Raises `TypeError` if `cls` defines a method that cannot be called with these arguments."""
-    for name, arguments in methods.items():
-        method = vars(cls).get(name)
-        if not inspect.isfunction(method):
-            continue
-        try:
-            inspect.signature(method).bind(*f"self, {arguments}".split(", "))
-        except TypeError:
-            raise TypeError(
-                f"Class `{cls.__name__}` defines `{name}{inspect.signature(method)}`, but it is "
-                f"called with ({arguments}): write `def {name}(self, {arguments})`."
-            ) from None
 
 
 def refuse_overrides(cls: type, base: type, remedies: Mapping[str, str]) -> None:

@@ -15,7 +15,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._final import refuse_overrides, require_signature
+from .._checks import require_signature
+from .._final import refuse_overrides
 from .._types import ScalarLike, State
 from .locality import CELLS_FINAL, Dependence, check_cells, dependence
 from .model import AbstractModel

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
+from functools import partial
+from types import CellType, FunctionType
 from typing import Any, get_args
 
 import equinox as eqx
@@ -22,6 +24,7 @@ from .._checks import (
     check_per_mass,
     check_positive,
     check_whole,
+    closed_over,
     is_traced,
     named,
     optional,
@@ -49,14 +52,50 @@ Matrix = Float[Array, "..."]
 
 
 def _forces(name: str) -> Callable[[Any], Any]:
-    """The converter of a law to a pytree: of a plain function no leaf, of a module its numbers."""
+    """The converter of a law to a pytree."""
 
     def convert(function: Any) -> Any:
         wanted = "None, or a function of parts of a state that returns forces"
         check_kind(name, function, Callable | None, wanted)
-        return function if isinstance(function, eqx.Module | None) else jtu.Partial(function)
+        known = isinstance(function, eqx.Module | jtu.Partial | None)
+        return function if known else _with_closure(function)
 
     return convert
+
+
+def _with_closure(function: Any, seen: tuple[Any, ...] = ()) -> jtu.Partial:
+    """The function, with whatever traced it closes over, or has as default, as leaves.
+
+    Searches treat a model as constant and attach derivatives in its leaves: what they do not see
+    has none.
+    """
+    if isinstance(function, partial):
+        inner, owned = _with_closure(function.func, seen), (function.args, function.keywords)
+        return jtu.Partial(lambda f, owned, *a: f(*owned[0], *a, **owned[1]), inner, owned)
+    if not isinstance(function, FunctionType):
+        return jtu.Partial(function)
+    seen = (*seen, function)
+
+    def inside(content: Any) -> Any:
+        further = isinstance(content, FunctionType | partial) and content not in seen
+        return _with_closure(content, seen) if further else content
+
+    owned = closed_over(function), function.__defaults__, function.__kwdefaults__
+    leaves, treedef = jtu.tree_flatten(jax.tree.map(inside, owned))
+    traced = [k for k, leaf in enumerate(leaves) if is_traced(leaf)]
+    if not traced:
+        return jtu.Partial(function)
+    others = [None if is_traced(leaf) else leaf for leaf in leaves]
+    own = function.__code__, function.__globals__, function.__name__
+
+    def rebuilt(numbers: list[Array], *arguments: Any) -> Any:
+        both = dict(enumerate(others)) | dict(zip(traced, numbers, strict=True))
+        contents, defaults, keywords = jtu.tree_unflatten(treedef, both.values())
+        again = FunctionType(*own, defaults, tuple(CellType(content) for content in contents))
+        again.__kwdefaults__ = keywords
+        return again(*arguments)
+
+    return jtu.Partial(rebuilt, [leaves[k] for k in traced])
 
 
 class Added(PrintedAsCall, eqx.Module):
@@ -128,7 +167,8 @@ class MechanicalCells(AbstractCells):
     - `ends`: "cyclic" or "free"; `names` of the displacements.
 
     `spring` and `local_force` are functions, or `equinox.Module`s whose numbers are fields; they
-    compute all cells side by side.
+    compute all cells side by side.  What JAX traces in the closure of a function, such as a number
+    by which you differentiate, becomes a part of the cells, as a field would.
 
     `with_` changes numbers by their names, and entries of arrays by names such as
     "stiffness[0, 1]", counted from 0; off the diagonal of M it sets both entries.  Where the cells

@@ -19,7 +19,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._final import final, refuse_overrides, require_signature
+from .._checks import require_signature
+from .._final import final, refuse_overrides
 from .._types import PerMass, ScalarLike, State
 from .locality import FINAL, check_local, local_dependence
 from .model import AbstractModel, StateVariable

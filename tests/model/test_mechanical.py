@@ -1,5 +1,6 @@
 """Cells from matrices and laws, with dry and smoothed friction."""
 
+import functools
 from typing import Any
 
 import jax
@@ -19,7 +20,8 @@ from jaxchain import (
     simulate,
     sweep,
 )
-from jaxchain.model import AbstractFrictionLaw, Chain, MechanicalCells, ModeCoupling
+from jaxchain.boundaries import find_equilibrium
+from jaxchain.model import AbstractCells, AbstractFrictionLaw, Chain, MechanicalCells, ModeCoupling
 
 # Of low order, which compiles sooner.
 SOLVER = EventDriven(8)
@@ -219,6 +221,53 @@ def test_one_number_does_not_replace_an_array_over_displacements(name, shape):
     changed = cells.with_(**{name: 2.0 * getattr(cells, name)}, normal_load=0.5)
     np.testing.assert_array_equal(getattr(changed, name), 2.0 * getattr(cells, name))
     assert float(MechanicalCells(1.0, force=[0.1], frequency=1.0).with_(force=0.2).force) == 0.2
+
+
+def _cubic(k, how):
+    """-k q^3 as a function that has k in one of the ways in which Python's functions have one."""
+    if how == "closure":
+        return lambda q, v: (-k * q[0] ** 3,)
+    if how == "nested":
+        cube = lambda x: -k * x**3  # noqa: E731
+        return lambda q, v: (cube(q[0]),)
+    if how == "default":
+        return lambda q, v, k=k: (-k * q[0] ** 3,)
+    if how == "keyword":
+        return lambda q, v, *, k=k: (-k * q[0] ** 3,)
+    return functools.partial(lambda k, q, v: (-k["cube"] * q[0] ** 3,), {"cube": k})
+
+
+@pytest.mark.parametrize("how", ["closure", "nested", "default", "keyword", "partial"])
+def test_derivatives_pass_through_the_closure_of_a_force(how):
+    """x + k x^3 = mu in steady sliding, so that dx/dk = -x^3 / (1 + 3 k x^2)."""
+
+    def steady(k):
+        force = _cubic(k, how)
+        cells = MechanicalCells(
+            1.0, damping=0.1, friction=Coulomb(0.8), belt_speed=1.0, local_force=force
+        )
+        return find_equilibrium(cells, (jnp.zeros(1), jnp.zeros(1))).state[0][0]
+
+    x, slope = jax.jvp(steady, (0.5,), (1.0,))
+    assert x + 0.5 * x**3 == pytest.approx(0.8, rel=1e-12)
+    expected = float(-(x**3) / (1 + 1.5 * x**2))
+    assert slope == pytest.approx(expected, rel=1e-10)
+    assert jax.grad(steady)(0.5) == pytest.approx(expected, rel=1e-10)
+    many = jax.jit(jax.vmap(steady))(jnp.array([0.0, 0.5]))
+    np.testing.assert_allclose(many, [0.8, x], rtol=1e-12)
+
+
+def test_a_class_has_its_traced_numbers_as_fields():
+    def period(k):
+        class Cubic(AbstractCells):
+            def rate(self, t, left, own, right):
+                return own[1], -k * own[0] ** 3
+
+        return simulate(Cubic(), (jnp.ones(1), jnp.zeros(1)), 1.0).state[0][0]
+
+    with pytest.raises(TypeError, match=r"in its closure.*make it a field"):
+        jax.grad(period)(1.0)
+    assert period(1.0) < 1.0
 
 
 def test_a_law_cannot_have_a_number_of_the_cell():
