@@ -417,7 +417,8 @@ def find_hopf_point(
 
     With `bounds` the present value may be anywhere in this range: the equilibrium is followed to
     both ends in 64 steps each, and the Hopf point is the nearest one at which the greatest growth
-    rate of an oscillation changes its sign, such as the onset of flutter.
+    rate of an oscillation changes its sign, such as the onset of flutter.  A rate that changes its
+    sign twice within one step is not seen: give a narrower range, or look at `complex_modes`.
 
     **Arguments:** `chain`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
     `parameter`: the name of a number that `chain.with_` takes, one for all cells; `frequency`:
@@ -460,7 +461,8 @@ def find_hopf_point(
             where = f"between {bounds[0]:.6g} and {bounds[1]:.6g}"
             remedy = "The greatest growth rate of an oscillation there is "
             remedy += f"{float(growth[0]):.3g} to {float(growth[1]):.3g}"
-            remedy += ": without a change of sign no oscillation sets in. Choose another range."
+            remedy += ": without a change of sign no oscillation sets in. Choose another range, or "
+            remedy += "a narrower one where two changes may lie within one of 64 steps."
         raise RuntimeError(
             f"No Hopf point in `{parameter}` was found {where}: {found.message} {remedy}"
         )
