@@ -199,9 +199,9 @@ class Amplitude(AbstractObserver):
         amplitude = (accumulator.high - accumulator.low) / 2
         return jnp.where(self.rests(accumulator), 0.0, amplitude)
 
-    def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
-        variables = amplitude_variables(value, getattr(chain, "belt_speed", None))
-        return renamed(variables, chain, self.component)
+    def label(self, value: Float[Array, " n"], model: Any) -> dict[str, Variable]:
+        variables = amplitude_variables(value, getattr(model, "belt_speed", None))
+        return renamed(variables, model, self.component)
 
 
 def amplitude_variables(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -164,7 +165,7 @@ class Step(eqx.Module):
         return turns, theta
 
     def all_turning_points(self) -> list[tuple[Bool[Array, " n"], Float[Array, " n"]]]:
-        """`turning_points`, and those at which a velocity of an event-driven step turns again."""
+        """`turning_points`, and those at which a mass turns again in an event-driven step."""
         found = []
         for low, first, high, last in self._spans():
             turns = (first > 0) & (last <= 0) | (first < 0) & (last >= 0)
@@ -174,25 +175,26 @@ class Step(eqx.Module):
     def _spans(self) -> list[tuple[Any, Array, Any, Array]]:
         """Parts of the step in which the velocity has one zero at most, each with its two ends.
 
-        (theta, velocity, theta, velocity).  An event-driven step may be so long that an
-        acceleration goes through zero and back, or starts from zero after sticking.
+        (theta, velocity, theta, velocity).  An event-driven step may be so long that a rate goes
+        through zero and back, or starts from zero after sticking.
         """
         (_, first), (_, last) = self.at_ends()
-        if self._velocity_rates() is None:
+        if self.rates is None:
             return [(0.0, first, 1.0, last)]
         theta, between = return_point(self.frozen().velocity, *lax.stop_gradient((first, last)))
         return [(0.0, first, theta, between), (theta, between, 1.0, last)]
 
     def _zero(self, turns: Array, low: Any, first: Array, high: Any, last: Array) -> Array:
         """The theta at which the velocity is zero, for those that turn; 1 for the others."""
-        if self._velocity_rates() is None:
+        if self.rates is None:
             theta = zeros(self.velocity, turns, first, last, elsewhere=1.0)
             return lax.stop_gradient(theta)
         first, last = lax.stop_gradient((first, last))
-        return zeros(
-            self.frozen().velocity, turns, first, last,
+        find = partial(
+            zeros, self.frozen().velocity, turns, first, last,
             elsewhere=1.0, certain=True, low=low, high=high,
         )  # fmt: skip
+        return lax.cond(unvmap_any(turns), find, lambda: jnp.ones_like(first))
 
     def time(self, theta: Any) -> Array:
         """The time t0 + theta (t1 - t0), of the shape of theta."""
@@ -206,13 +208,18 @@ class Step(eqx.Module):
         return (self.t1 - self.t0) * (weights @ rates)
 
     def frozen(self) -> Step:
-        """The step without derivatives, which may cost more than the observed value."""
+        """The step without derivatives, which may cost more than the observed value.
+
+        An event-driven step has those in theta.
+        """
         names = ("field", "t0", "t1", "y0", "y1", "rates")
         fixed = {name: lax.stop_gradient(getattr(self, name)) for name in names}
-        part = self.part
-        return dataclasses.replace(
-            self, part=lambda theta, k: lax.stop_gradient(part(theta, k)), **fixed
-        )
+        part: Any = self.part
+        if isinstance(part, eqx.Module):
+            fixed["part"] = lax.stop_gradient(part)
+        else:
+            fixed["part"] = lambda theta, k: lax.stop_gradient(part(theta, k))
+        return dataclasses.replace(self, **fixed)
 
 
 def _is_alone(field: AbstractModel, y: State, component: int) -> bool:
@@ -228,8 +235,8 @@ def gauss(points: int) -> tuple[Float[Array, " points"], Float[Array, " points"]
     return jnp.asarray(0.5 * (nodes + 1.0)), jnp.asarray(0.5 * weights)
 
 
-# Newton's steps to a zero: halving alone finds it to rounding.
-_MOST_STEPS = 60
+# Newton's steps to a zero: halving alone finds it to rounding; and the last step of those.
+_MOST_STEPS, _SETTLED = 60, 1e-6
 
 
 def zeros(
@@ -246,8 +253,8 @@ def zeros(
     """The theta in [low, high] at which function(theta) is zero where it `crosses`, mass by mass.
 
     `first` and `last` are the values at `low` and `high`.  It uses the secant through both ends,
-    then two Newton steps.  If `certain`, it takes Newton steps until theta no longer changes,
-    each between points of different signs, without derivatives: for functions that bend strongly.
+    then two Newton steps.  If `certain`, those that still move go on between points of different
+    signs, without derivatives: for functions that bend strongly.
     """
     share = first / jnp.where(crosses, first - last, 1.0)
     theta = flatten(jnp.where(crosses, low + (high - low) * share, elsewhere))
@@ -257,9 +264,13 @@ def zeros(
         slope = jnp.where(slope == 0, 1.0, slope)
         return value, theta - jnp.where(crosses, value / slope, 0.0)
 
+    moves = jnp.zeros_like(crosses)
+    for _ in range(2):
+        new = newton(theta)[1]
+        # Newton's steps converge quadratically: after the next one the error is its square.
+        moves = jnp.abs(new - theta) > _SETTLED
+        theta = flatten(jnp.clip(new, low, high))
     if not certain:
-        for _ in range(2):
-            theta = flatten(jnp.clip(newton(theta)[1], 0.0, 1.0))
         return theta
 
     # A loop, because many copies of a series take seconds to compile.
@@ -268,16 +279,17 @@ def zeros(
         return (count < _MOST_STEPS) & unvmap_any(moves)
 
     def nearer(carry: tuple[Any, ...]) -> tuple[Any, ...]:
-        count, _, low, theta, high = carry
+        count, moves, low, theta, high = carry
         value, new = newton(theta)
         same = (value > 0) == (first > 0)
         low, high = jnp.where(same, theta, low), jnp.where(same, high, theta)
         new = jnp.where((new < low) | (new > high), 0.5 * (low + high), new)
-        new = jnp.where(crosses, new, theta)
-        return count + 1, jnp.abs(new - theta) > 1e-12, low, new, high
+        new = jnp.where(moves, new, theta)
+        return count + 1, jnp.abs(new - theta) > _SETTLED, low, new, high
 
     low, high = (jnp.broadcast_to(edge, theta.shape) for edge in (low, high))
-    return lax.while_loop(goes_on, nearer, (jnp.zeros((), int), crosses, low, theta, high))[3]
+    begin = jnp.zeros((), int), crosses & moves, low, theta, high
+    return lax.while_loop(goes_on, nearer, begin)[3]
 
 
 def return_point(
@@ -295,8 +307,15 @@ def return_point(
     begins, ends = slope(jnp.zeros_like(first)), slope(jnp.ones_like(first))
     sign = jnp.sign(last)
     returns = (first * last >= 0) & (sign * begins < 0) & (sign * ends > 0)
-    theta = zeros(slope, returns, begins, ends, elsewhere=1.0, certain=True)
-    return theta, jnp.where(returns, function(theta), last)
+    # Only where the lines along both ends meet near zero, with a margin: three times their fall.
+    meet = (last - first - ends) / jnp.where(returns, begins - ends, 1.0)
+    returns &= sign * (first + 3.0 * begins * meet) <= 0
+
+    def nearest() -> tuple[Array, Array]:
+        theta = zeros(slope, returns, begins, ends, elsewhere=1.0, certain=True)
+        return theta, jnp.where(returns, function(theta), last)
+
+    return lax.cond(unvmap_any(returns), nearest, lambda: (jnp.ones_like(first), last))
 
 
 @final
@@ -353,7 +372,7 @@ def window_fits(window: float | None, t0: ScalarLike, t1: ScalarLike) -> Any:
 
 
 def states_at_times(
-    name: str, value: tuple[Array, ...], chain: Any, *dims: str
+    name: str, value: tuple[Array, ...], model: Any, *dims: str
 ) -> dict[str, Variable]:
     """The times as `<name>_time`, and each variable as `<name>_<its name>`.
 
@@ -361,20 +380,20 @@ def states_at_times(
     """
     times, *parts = value
     of = f"of that {dims[0]}"
-    labelled = {f"{name}_time": Variable(times, dims[:1], chain.time_unit, f"time {of}")}
+    labelled = {f"{name}_time": Variable(times, dims[:1], model.time_unit, f"time {of}")}
     for k, values in enumerate(parts):
-        part, unit, words = chain.variable(k)
+        part, unit, words = model.variable(k)
         labelled[f"{name}_{part}"] = Variable(values, dims, unit, f"{words} {of}")
     return labelled
 
 
-def renamed(variables: dict[str, Variable], chain: Any, component: int) -> dict[str, Variable]:
+def renamed(variables: dict[str, Variable], model: Any, component: int) -> dict[str, Variable]:
     """Variables of the first component of a chain as those of another component, or model."""
-    part, unit, words = chain.variable(component)
-    if component or chain.time_unit == "1":
+    part, unit, words = model.variable(component)
+    if component or model.time_unit == "1":
         words = part if words.endswith("_n") else words  # the symbols are those of the first
         square = "1" if unit == "1" else f"({unit})^2"
-        units = {"x0": unit, "x0^2": square, "1 / omega_n": chain.time_unit}
+        units = {"x0": unit, "x0^2": square, "1 / omega_n": model.time_unit}
         variables = {
             name: dataclasses.replace(
                 v,
@@ -464,9 +483,9 @@ class AbstractObserver(eqx.Module):
     def read(self, accumulator: Any) -> Any:
         """The observed value."""
 
-    def label(self, value: Any, chain: Any) -> dict[str, Variable]:
-        """The observed value of one run of `chain` as variables of a dataset, by their names."""
-        del value, chain
+    def label(self, value: Any, model: Any) -> dict[str, Variable]:
+        """The observed value of one run of `model` as variables of a dataset, by their names."""
+        del value, model
         raise ValueError(
             f"Argument `observe` holds a `{type(self).__name__}`, whose value has no labels: give "
             "it the method `label`, see `AbstractObserver`, or use `jax.vmap(simulate)`."

@@ -51,8 +51,8 @@ class Divergence(AbstractObserver):
     def read(self, accumulator: Any) -> Float[Array, ""]:
         return accumulator
 
-    def label(self, value: Float[Array, ""], chain: Any) -> dict[str, Variable]:
-        del chain
+    def label(self, value: Float[Array, ""], model: Any) -> dict[str, Variable]:
+        del model
         return {"divergence": Variable(value, (), "1", "integral of tr J over the run")}
 
 
@@ -116,8 +116,8 @@ class EnergyBalance(AbstractObserver):
         gained, start, end = accumulator
         return jnp.append(gained, end - start)
 
-    def label(self, value: Float[Array, "3"], chain: Any) -> dict[str, Variable]:
-        del chain
+    def label(self, value: Float[Array, "3"], model: Any) -> dict[str, Variable]:
+        del model
         names = {
             "belt_work": "work of the belt",
             "energy_lost": "energy lost to friction and damping",

@@ -196,8 +196,8 @@ class FrontTrack(AbstractObserver):
     def read(self, accumulator: _Watch) -> Fronts:
         return accumulator.fronts
 
-    def label(self, value: Fronts, chain: Any) -> dict[str, Variable]:
-        del chain
+    def label(self, value: Fronts, model: Any) -> dict[str, Variable]:
+        del model
         reach, count = "how far vibration reaches {} the chain", "masses that vibrate"
         return {
             "front_right": Variable(value.right, ("window",), "1", reach.format("along")),

@@ -69,9 +69,9 @@ class Trajectory(eqx.Module):
                 f"{times[at + 1]:g}: sort them."
             )
 
-    def label(self, value: Any, chain: Any) -> dict[str, Variable]:
+    def label(self, value: Any, model: Any) -> dict[str, Variable]:
         """`displacement` and `velocity` over (time, oscillator), or the numbers of other cells."""
-        labelled = states_at_times("at", (self.times, *value), chain, "time", "oscillator")
+        labelled = states_at_times("at", (self.times, *value), model, "time", "oscillator")
         return {name.removeprefix("at_"): v for name, v in labelled.items() if name != "at_time"}
 
 
@@ -248,5 +248,5 @@ class Samples(AbstractNotingObserver):
         times = accumulator.first + index * self.interval
         return jnp.where(index < accumulator.count, times, jnp.nan), *accumulator.parts
 
-    def label(self, value: Any, chain: Any) -> dict[str, Variable]:
-        return states_at_times("sample", value, chain, "sample", "sampled_oscillator")
+    def label(self, value: Any, model: Any) -> dict[str, Variable]:
+        return states_at_times("sample", value, model, "sample", "sampled_oscillator")

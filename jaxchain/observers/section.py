@@ -119,10 +119,10 @@ class PeakTimes(AbstractNotingObserver):
         times, _ = accumulator
         return jnp.where(times > _NONE, times, jnp.nan)
 
-    def label(self, value: Float[Array, "capacity n"], chain: Any) -> dict[str, Variable]:
+    def label(self, value: Float[Array, "capacity n"], model: Any) -> dict[str, Variable]:
         name = "times of the maxima of the displacement"
         times = {"peak_time": Variable(value, ("peak", "oscillator"), "1 / omega_n", name)}
-        return renamed(times, chain, self.component)
+        return renamed(times, model, self.component)
 
 
 # Trials to locate a greatest velocity: regula falsi gains a digit or two with each, but few at
@@ -167,15 +167,20 @@ class AbstractSection(AbstractObserver):
         bracket = jnp.zeros(()), first, jnp.ones(()), last
         peaks = (first > 0) & (last <= 0)
         between = last
-        if step.rates is not None and self.of == "velocity":
+        if step.rates is not None:
             fixed = step.frozen()
-            slope = lambda theta: self._slope(fixed, theta, fixed.y0)  # noqa: E731
+
+            def slope(theta: Any) -> Array:
+                if self.of == "displacement":
+                    return fixed.velocity(theta)[self.oscillator]
+                return self._slope(fixed, theta, fixed.y0)
+
             middle, between = return_point(slope, *lax.stop_gradient((first, last)))
             again = (between > 0) & (last <= 0)
             peaks = again | ((first > 0) & (between <= 0))
             parts = (middle, between, *bracket[2:]), (*bracket[:2], middle, between)
             bracket = tuple(jnp.where(again, b, a) for b, a in zip(*parts, strict=True))
-        if self.of == "displacement":
+        if step.rates is None and self.of == "displacement":
             velocity = lambda theta: step.velocity(theta)[self.oscillator]  # noqa: E731
             theta = lax.stop_gradient(zeros(velocity, peaks, first, last, elsewhere=1.0))
         else:
@@ -250,8 +255,8 @@ class AbstractSection(AbstractObserver):
         states = (jnp.where(found[:, None], part, jnp.nan) for part in kept)
         return jnp.where(found, times, jnp.nan), *states
 
-    def label(self, value: tuple[Array, ...], chain: Any) -> dict[str, Variable]:
-        return states_at_times("section", value, chain, "point", "oscillator")
+    def label(self, value: tuple[Array, ...], model: Any) -> dict[str, Variable]:
+        return states_at_times("section", value, model, "point", "oscillator")
 
 
 @final

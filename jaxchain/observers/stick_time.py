@@ -83,9 +83,9 @@ class StickTime(AbstractObserver):
     def read(self, accumulator: tuple[Array, Array]) -> Float[Array, " n"]:
         return accumulator[0]
 
-    def label(self, value: Float[Array, " n"], chain: Any) -> dict[str, Variable]:
+    def label(self, value: Float[Array, " n"], model: Any) -> dict[str, Variable]:
         name = "time for which a mass sticks during the window"
-        return {"stick_time": Variable(value, ("oscillator",), chain.time_unit, name)}
+        return {"stick_time": Variable(value, ("oscillator",), model.time_unit, name)}
 
 
 def sticking(step: Step) -> tuple[Array, Array]:
@@ -171,7 +171,7 @@ class MostSticking(AbstractObserver):
     def read(self, accumulator: Any) -> Int[Array, ""]:
         return accumulator
 
-    def label(self, value: Int[Array, ""], chain: Any) -> dict[str, Variable]:
-        del chain
+    def label(self, value: Int[Array, ""], model: Any) -> dict[str, Variable]:
+        del model
         name = "masses that ever stick at the same time"
         return {"most_sticking": Variable(value, (), "1", name, is_count=True)}

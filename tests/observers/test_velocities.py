@@ -46,6 +46,39 @@ def test_a_velocity_may_turn_twice_within_a_step(force):
         assert np.isnan(times[1])
 
 
+# x = cos t + b cos 3t + .5 moves forward only for |t - pi / 2| < LATE, and hardly.
+B = 0.334
+LATE = float(np.arccos(np.sqrt((1 + 9 * B) / (12 * B))))
+
+
+def position(t):
+    return np.cos(t) + B * np.cos(3 * t) + 0.5
+
+
+def watched(t0, t1, observe):
+    cells = MechanicalCells(
+        1.0, friction=Coulomb(0.5), belt_speed=9.0, force=-8 * B, frequency=3.0
+    )
+    speed = -np.sin(t0) - 3 * B * np.sin(3 * t0)
+    start = jnp.full(1, position(t0)), jnp.full(1, speed)
+    return simulate(cells, start, t1, t0=t0, rtol=1e-9, observe=observe).observed
+
+
+def test_a_displacement_may_turn_twice_within_a_step():
+    peaks, section = watched(0.0, 2.5, [PeakTimes(capacity=4), Section(0, capacity=4)])
+    for times in (peaks[:, 0], section[0]):
+        np.testing.assert_allclose(times[0], 0.5 * np.pi + LATE, atol=1e-8)
+        assert np.isnan(times[1])
+
+
+def test_the_extreme_of_a_displacement_whose_velocity_bends():
+    """Its velocity is greatest where the run starts, so that Newton's first step goes far off."""
+    begin = 0.5 * np.pi
+    amplitude = watched(begin, begin + 0.3, Amplitude())
+    exact = 0.5 * (position(begin + LATE) - position(begin + 0.3))
+    assert abs(float(amplitude[0]) - exact) < 1e-10
+
+
 def test_energies_balance_as_far_as_the_motion_is_exact():
     """The powers balance at every instant, so that what is left is the error of the rule."""
     chain = paper_chain(3, belt_speed=0.5, width=None)
