@@ -286,7 +286,7 @@ def test_what_needs_a_width_says_what_to_do_without_one(name):
     with pytest.raises(ValueError, match="dry friction") as caught:
         function(ONE)
     assert words in str(caught.value)
-    assert "`chain.with_(width=1e-3)`" in str(caught.value)
+    assert "`model.with_(width=1e-3)`" in str(caught.value)
 
 
 @pytest.mark.long

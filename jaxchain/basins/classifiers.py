@@ -106,9 +106,9 @@ class AbstractClassifier(AbstractObserver):
         ['right', 'undecided']
     """
 
-    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Any) -> Int[np.ndarray, "runs k"]:
+    def merge(self, codes: Int[np.ndarray, "runs m"], model: Any) -> Int[np.ndarray, "runs k"]:
         """Makes equivalent codes equal; by default all codes are different states."""
-        del chain
+        del model
         return codes
 
     def patient(self) -> Any:
@@ -120,12 +120,12 @@ class AbstractClassifier(AbstractObserver):
         return 0.0
 
     @abc.abstractmethod
-    def name(self, code: Int[np.ndarray, " k"], chain: Any) -> str:
+    def name(self, code: Int[np.ndarray, " k"], model: Any) -> str:
         """The name of a state, from its code after `merge`."""
 
-    def numbers(self, code: Int[np.ndarray, " k"], chain: Any) -> Mapping[str, int]:
+    def numbers(self, code: Int[np.ndarray, " k"], model: Any) -> Mapping[str, int]:
         """Other numbers of a state, each a coordinate along `state`; by default none."""
-        del code, chain
+        del code, model
         return {}
 
 
@@ -293,7 +293,7 @@ class VibratingMasses(AbstractClassifier):
             peaks=now.peaks,
         )
 
-    def _code(self, now: _Looking, vibrates: Array, chain: Any) -> Array:
+    def _code(self, now: _Looking, vibrates: Array, model: Any) -> Array:
         """0: quiet, 1: vibrates; with phases plus 2, 4 or 6 for the delay to the previous mass."""
         code = vibrates.astype(int)
         n = vibrates.shape[0]
@@ -302,7 +302,7 @@ class VibratingMasses(AbstractClassifier):
         latest, before = now.peaks
         share = ((latest - jnp.roll(latest, 1)) / (latest - before)) % 1.0
         beside = vibrates & jnp.roll(vibrates, 1)
-        if chain.ends != "cyclic":
+        if model.ends != "cyclic":
             beside = beside & (jnp.arange(n) > 0)
         phase = jnp.where(jnp.abs(share - 0.5) < 0.125, 1, 2)
         phase = jnp.where(jnp.abs(share - 0.5) > 0.375, 0, phase)
@@ -321,7 +321,7 @@ class VibratingMasses(AbstractClassifier):
         alive = jnp.all(~vibrates | (now.quiet <= now.lull))
         return Settled(now.code, vibrates, (now.same >= self.agree) & alive, now.since)
 
-    def label(self, value: Settled, chain: Any) -> dict[str, Variable]:
+    def label(self, value: Settled, model: Any) -> dict[str, Variable]:
         variables = {
             "state": Variable(value.code, ("oscillator",), "1", "0: quiet, else vibrates"),
             "decided": Variable(value.decided, (), "1", "whether the state is settled"),
@@ -329,24 +329,24 @@ class VibratingMasses(AbstractClassifier):
                 value.since, (), "1 / omega_n", "time from which the same masses vibrate"
             ),
         }
-        return renamed(variables, chain, 0)
+        return renamed(variables, model, 0)
 
-    def merge(self, codes: Int[np.ndarray, "runs m"], chain: Any) -> Int[np.ndarray, "runs k"]:
+    def merge(self, codes: Int[np.ndarray, "runs m"], model: Any) -> Int[np.ndarray, "runs k"]:
         if self.by == "count":
             pairs = [np.sum(codes // 2 == kind + 1, axis=1) for kind in range(len(_PHASES))]
             counts = [np.sum(codes > 0, axis=1), *(pairs if self.phases else [])]
             return np.stack(counts, axis=1)
         if self.by == "ring":
-            _check_alike(chain)
+            _check_alike(model)
             different, places = np.unique(codes, axis=0, return_inverse=True)
-            return np.array([_canonical(code, chain) for code in different])[places.ravel()]
+            return np.array([_canonical(code, model) for code in different])[places.ravel()]
         return codes
 
-    def name(self, code: Int[np.ndarray, " k"], chain: Any) -> str:
-        count = self.numbers(code, chain)["vibrating"]
+    def name(self, code: Int[np.ndarray, " k"], model: Any) -> str:
+        count = self.numbers(code, model)["vibrating"]
         if count == 0:
-            return "sliding" if chain.frictional and np.any(chain.belt_speed != 0) else "quiet"
-        if chain.n == 1:
+            return "sliding" if model.frictional and np.any(model.belt_speed != 0) else "quiet"
+        if model.n == 1:
             return "vibrating"
         verb = "vibrates" if count == 1 else "vibrate"
         if self.by == "count":
@@ -361,14 +361,14 @@ class VibratingMasses(AbstractClassifier):
                 who.append(f"{mass + 1}{phase}")
         return f"{', '.join(who)} {verb}"
 
-    def numbers(self, code: Int[np.ndarray, " k"], chain: Any) -> Mapping[str, int]:
-        del chain
+    def numbers(self, code: Int[np.ndarray, " k"], model: Any) -> Mapping[str, int]:
+        del model
         return {"vibrating": int(code[0] if self.by == "count" else np.sum(code > 0))}
 
 
-def _check_alike(chain: Any) -> None:
+def _check_alike(model: Any) -> None:
     """Raises unless the chain is invariant under rotation, or reflection with free ends."""
-    for name, value in chain.parameters().items():
+    for name, value in model.parameters().items():
         if value is not None and np.ndim(value) > 0 and np.ptp(np.asarray(value)) > 0:
             raise ValueError(
                 'Argument `by` = "ring" takes rotated patterns for one state, but the masses or '
@@ -376,11 +376,11 @@ def _check_alike(chain: Any) -> None:
             )
 
 
-def _canonical(code: np.ndarray, chain: Any) -> np.ndarray:
+def _canonical(code: np.ndarray, model: Any) -> np.ndarray:
     """The lexicographically greatest image of a code under the chain's symmetries."""
     vibrates, phase = np.minimum(code, 1), code // 2
     # The phase of a pair is stored at its second mass, which is the first one after reflection.
     mirrored = vibrates[::-1] + 2 * np.roll(phase[::-1], 1)
-    turns = range(len(code) if chain.ends == "cyclic" else 1)
+    turns = range(len(code) if model.ends == "cyclic" else 1)
     images = [np.roll(image, turn) for image in (code, mirrored) for turn in turns]
     return max(images, key=tuple)

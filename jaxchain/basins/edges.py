@@ -21,7 +21,7 @@ from .._internals import nondifferentiable
 from .._types import State
 from ..cycles.floquet import LimitCycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_chain, as_model, as_state
 from ..model.chain import Chain
 from ..model.model import AbstractModel
 from ..observers.amplitude import Amplitude
@@ -107,14 +107,14 @@ def gap(pair: Pair) -> Float[Array, ""]:
     return jnp.sqrt(sum(jnp.sum((part[1] - part[0]) ** 2) for part in pair))
 
 
-def track(chain: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSearch:
+def track(model: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSearch:
     """The bracket of the edge between two starts, after tracking."""
     pair = tuple(jnp.stack(parts) for parts in zip(quiet, vibrating, strict=True))
     n = pair[0].shape[1]
     zero, blank = jnp.zeros((), int), jnp.full((2, n), jnp.nan, float)
     no_mass = jnp.zeros((2, n), bool)
     if how.classify is not None:
-        ends_in = eqx.filter_eval_shape(lambda y: _ends_in(chain, y, how)[0], quiet)
+        ends_in = eqx.filter_eval_shape(lambda y: _ends_in(model, y, how)[0], quiet)
         no_mass = jnp.zeros((2, *ends_in.shape), ends_in.dtype)
     first = EdgeSearch(
         stage=zero + SETTLE, final=jnp.asarray(False), ends=pair, runs=pair, count=zero,
@@ -129,7 +129,7 @@ def track(chain: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSear
 
     def advance(start: State) -> tuple[State, Array, Array, Array]:
         run = simulate(
-            chain, start, how.window, observe=watch, solver=how.solver,
+            model, start, how.window, observe=watch, solver=how.solver,
             rtol=how.rtol, adjoint=dfx.ForwardMode(), throw=False,
         )  # fmt: skip
         amplitude, *held = run.observed
@@ -144,7 +144,7 @@ def track(chain: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSear
             return runs, amplitude, now.pattern, well
 
         def decide() -> tuple[Pair, Array, Array, Array]:
-            codes, decided = jax.vmap(lambda y: _ends_in(chain, y, how))(now.runs)
+            codes, decided = jax.vmap(lambda y: _ends_in(model, y, how))(now.runs)
             return now.runs, blank, codes, decided
 
         runs, amplitude, codes, well = lax.cond(now.stage == TRACK, follow, decide)
@@ -163,10 +163,10 @@ def track(chain: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSear
         runs, amplitude, sticks, well = jax.vmap(advance)(now.runs)
         now = replace(now, runs=runs, count=now.count + 1)
         stages = [
-            _settle(chain, now, amplitude, how),
-            _cut(_judge(chain, now, amplitude, sticks), how),
+            _settle(model, now, amplitude, how),
+            _cut(_judge(model, now, amplitude, sticks), how),
             _track(now, amplitude, how),
-            _check(_judge(chain, now, amplitude, sticks), how),
+            _check(_judge(model, now, amplitude, sticks), how),
         ]
         new = jax.tree.map(lambda *values: lax.select_n(now.stage, *values), *stages)
         return _failed(new, ~jnp.all(well), SearchResult.nonfinite)
@@ -175,14 +175,14 @@ def track(chain: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSear
     return lax.while_loop(lambda now: now.stage != DONE, turn, first)
 
 
-def _ends_in(chain: Any, start: State, how: Tracking) -> tuple[Array, Array]:
+def _ends_in(model: Any, start: State, how: Tracking) -> tuple[Array, Array]:
     """(the code of the state in which a run ends, whether it is decided)."""
     classify: Any = how.classify
     run = simulate(
-        chain, start, how.patience * how.window, observe=classify, solver=how.solver,
+        model, start, how.patience * how.window, observe=classify, solver=how.solver,
         rtol=how.rtol, adjoint=dfx.ForwardMode(), throw=False,
     )  # fmt: skip
-    found = classify.label(run.observed, chain)
+    found = classify.label(run.observed, model)
     decided = jnp.asarray(found["decided"].values) != 0
     return jnp.ravel(found["state"].values), decided & ended_well(run.result)
 
@@ -435,7 +435,7 @@ class EdgeState(Outcome):
 
 
 def edge_state(
-    chain: AbstractModel,
+    model: AbstractModel,
     quiet: Any,
     vibrating: Any,
     *,
@@ -465,7 +465,7 @@ def edge_state(
 
     **Arguments:** (dimensionless)
 
-    - `chain`: a `Chain`, with dry friction or smoothed; `AbstractOscillators` or `AbstractCells`
+    - `model`: a `Chain`, with dry friction or smoothed; `AbstractOscillators` or `AbstractCells`
       with `classify`.
     - `quiet`, `vibrating`: (x, v), both of shape (n,), from which different masses continue to
       vibrate; of other cells m arrays.
@@ -512,12 +512,12 @@ def edge_state(
         (True, True)
     """
     if classify is None:
-        as_chain(chain, remedy="give `classify` for other models.")
+        as_chain(model, remedy="give `classify` for other models.", name="model")
     else:
-        as_chain(chain, AbstractModel)
+        as_model(model)
         check_kind("classify", classify, AbstractClassifier, "None or an `AbstractClassifier`")
-    quiet, vibrating = as_state(chain, quiet, "quiet"), as_state(chain, vibrating, "vibrating")
-    check_force(chain, quiet)
+    quiet, vibrating = as_state(model, quiet, "quiet"), as_state(model, vibrating, "vibrating")
+    check_force(model, quiet)
     if len(quiet) != len(vibrating) or quiet[0].shape != vibrating[0].shape:
         raise ValueError(
             "Arguments `quiet` and `vibrating` must have the same shapes, but have "
@@ -540,8 +540,8 @@ def edge_state(
             "the ends of the bracket run on from the one distance to the other."
         )
     check_positive_number("rtol", rtol, "1e-6 is usual.")
-    solver = Method(solver, rtol).checked(chain, quiet[0].size).solver
-    length, forced = to_float(window), chain.forcing_period()
+    solver = Method(solver, rtol).checked(model, quiet[0].size).solver
+    length, forced = to_float(window), model.forcing_period()
     if forced is not None:
         length = jnp.ceil(length / forced) * forced  # every run starts at the phase 0 of the force
     windows = _count(time, window if is_traced(length) else float(length))
@@ -556,7 +556,7 @@ def edge_state(
         solver=solver,
         classify=classify,
     )
-    return _edge(chain, quiet, vibrating, how)
+    return _edge(model, quiet, vibrating, how)
 
 
 def _count(time: Any, window: Any) -> int:
@@ -571,9 +571,9 @@ def _count(time: Any, window: Any) -> int:
 
 
 @eqx.filter_jit
-def _edge(chain: AbstractModel, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
+def _edge(model: AbstractModel, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
     frozen, quiet, vibrating = nondifferentiable(
-        (chain, quiet, vibrating),
+        (model, quiet, vibrating),
         msg="`edge_state` has no derivatives: find the edge state outside the differentiated "
         "function, and inside it the cycle, `find_limit_cycle(chain, (edge.state, "
         "edge.period))`, which has them.",
@@ -605,7 +605,7 @@ def _edge(chain: AbstractModel, quiet: State, vibrating: State, how: Tracking) -
         return jax.tree.map(lambda a: jnp.where(followed, a, jnp.nan), tree)
 
     return EdgeState(
-        chain=chain,
+        chain=model,
         state=if_exists(state),
         below=if_exists(below),
         above=if_exists(above),
@@ -623,17 +623,17 @@ def _edge(chain: AbstractModel, quiet: State, vibrating: State, how: Tracking) -
 
 
 def _last(
-    chain: AbstractModel, state: State, mass: Array, how: Tracking
+    model: AbstractModel, state: State, mass: Array, how: Tracking
 ) -> tuple[Array, Array, Array, Array]:
     """(amplitudes, period, closing error, whether the runs succeeded).
 
     The run starts from the middle of the bracket.  The first turning point of the mass in question
     is compared with later ones; of forced cells the first state with those after whole periods.
     """
-    forced = chain.forcing_period()
+    forced = model.forcing_period()
     section = Section(mass, _RETURNS) if forced is None else Samples(forced, _RETURNS)
     run = simulate(
-        chain,
+        model,
         state,
         _LAST * how.window,
         observe=(Amplitude(), section),
@@ -647,6 +647,6 @@ def _last(
     away = jnp.where(jnp.isnan(away).at[0].set(True), jnp.inf, away)
     closes = jnp.argmax(away <= _CLOSED)  # the first return, 0 for none
     period = times[closes] - times[0]
-    closed = (closes > 0) & chain.can_be_cycle(period, jnp.abs(state[-1]))
+    closed = (closes > 0) & model.can_be_cycle(period, jnp.abs(state[-1]))
     period = jnp.where(closed, period, jnp.nan)
     return amplitude, period, jnp.min(away), ended_well(run.result)

@@ -94,20 +94,20 @@ class AbstractRegion(PrintedAsCall, eqx.Module):
     """
 
     @abc.abstractmethod
-    def dimension(self, chain: AbstractModel) -> int:
+    def dimension(self, model: AbstractModel) -> int:
         """The dimension of the cube."""
 
     @abc.abstractmethod
-    def start(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> State:
+    def start(self, model: AbstractModel, point: Float[Array, " dimension"]) -> State:
         """The state of a point of the cube: (x, v), both of shape (n,), or all m arrays."""
 
 
-def _pushed(masses: tuple[int, ...] | None, chain: Any) -> tuple[int, ...]:
+def _pushed(masses: tuple[int, ...] | None, model: Any) -> tuple[int, ...]:
     """The indices of the disturbed masses; `ValueError` for one that does not exist."""
-    as_chain(chain, remedy="`Ranges` and `Sampler` are regions of other models.")
-    masses = tuple(range(chain.n)) if masses is None else masses
+    as_chain(model, remedy="`Ranges` and `Sampler` are regions of other models.", name="model")
+    masses = tuple(range(model.n)) if masses is None else masses
     for mass in masses:
-        check_whole("masses", mass, 0, chain.n - 1, _MASSES)
+        check_whole("masses", mass, 0, model.n - 1, _MASSES)
     return masses
 
 
@@ -164,14 +164,14 @@ class Box(AbstractRegion):
                 )
         _check_masses(self.masses)
 
-    def dimension(self, chain: Any) -> int:
-        return 2 * len(_pushed(self.masses, chain))
+    def dimension(self, model: Any) -> int:
+        return 2 * len(_pushed(self.masses, model))
 
-    def start(self, chain: Any, point: Float[Array, " dimension"]) -> State:
+    def start(self, model: Any, point: Float[Array, " dimension"]) -> State:
         (a, b), (c, d) = self.displacement, self.velocity
         x, v = jnp.split(point, 2)
-        at = jnp.asarray(_pushed(self.masses, chain))
-        sliding_x, sliding_v = steady_sliding(chain)
+        at = jnp.asarray(_pushed(self.masses, model))
+        sliding_x, sliding_v = steady_sliding(model)
         return sliding_x.at[at].set(a + (b - a) * x), sliding_v.at[at].set(c + (d - c) * v)
 
 
@@ -199,16 +199,16 @@ class Ball(AbstractRegion):
         check_positive_number("radius", self.radius, "it is a distance, such as 1.")
         _check_masses(self.masses)
 
-    def dimension(self, chain: Any) -> int:
-        return 2 * len(_pushed(self.masses, chain)) + 1
+    def dimension(self, model: Any) -> int:
+        return 2 * len(_pushed(self.masses, model)) + 1
 
-    def start(self, chain: Any, point: Float[Array, " dimension"]) -> State:
+    def start(self, model: Any, point: Float[Array, " dimension"]) -> State:
         # The direction of a normal vector is uniform.
         direction = _normal(point[:-1])
         length = self.radius * point[-1] ** (1.0 / direction.size)
         direction = direction * (length / jnp.maximum(jnp.linalg.norm(direction), 1e-300))
         x, v = jnp.split(direction, 2)
-        return _about_sliding(self.masses, chain, x, v)
+        return _about_sliding(self.masses, model, x, v)
 
 
 @final
@@ -238,12 +238,12 @@ class Gaussian(AbstractRegion):
             check_positive_number(name, getattr(self, name), "it is a standard deviation.")
         _check_masses(self.masses)
 
-    def dimension(self, chain: Any) -> int:
-        return 2 * len(_pushed(self.masses, chain))
+    def dimension(self, model: Any) -> int:
+        return 2 * len(_pushed(self.masses, model))
 
-    def start(self, chain: Any, point: Float[Array, " dimension"]) -> State:
+    def start(self, model: Any, point: Float[Array, " dimension"]) -> State:
         x, v = jnp.split(_normal(point), 2)
-        return _about_sliding(self.masses, chain, self.displacement * x, self.velocity * v)
+        return _about_sliding(self.masses, model, self.displacement * x, self.velocity * v)
 
 
 def _state(name: str) -> Callable[[Any], State]:
@@ -296,12 +296,12 @@ class Ranges(AbstractRegion):
                 "everywhere and low < high somewhere."
             )
 
-    def dimension(self, chain: AbstractModel) -> int:
-        del chain
+    def dimension(self, model: AbstractModel) -> int:
+        del model
         return sum(part.size for part in self.low)
 
-    def start(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> State:
-        del chain
+    def start(self, model: AbstractModel, point: Float[Array, " dimension"]) -> State:
+        del model
         shares = jnp.split(point, len(self.low))
         ranges = zip(self.low, self.high, shares, strict=True)
         return tuple(low + (high - low) * share for low, high, share in ranges)
@@ -333,28 +333,28 @@ class Sampler(AbstractRegion):
         check_function("function", self.function, "(chain, point) -> (x, v)", 2)
         check_whole("points", self.points, remedy="it is the length of a point.")
 
-    def dimension(self, chain: AbstractModel) -> int:
-        del chain
+    def dimension(self, model: AbstractModel) -> int:
+        del model
         return self.points
 
-    def start(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> Any:
-        return self.function(chain, point)
+    def start(self, model: AbstractModel, point: Float[Array, " dimension"]) -> Any:
+        return self.function(model, point)
 
 
-def check_region(region: Any, chain: Any) -> int:
+def check_region(region: Any, model: Any) -> int:
     """The number of cells, or `ValueError` unless it is a region of states of this chain."""
     kinds = "a `Box`, `Ball`, `Gaussian`, `Ranges` or `Sampler`"
     check_kind("region", region, AbstractRegion, kinds, "`Box()` is that of the literature.")
-    state: Any = eqx.filter_eval_shape(region.start, chain, jnp.zeros(region.dimension(chain)))
+    state: Any = eqx.filter_eval_shape(region.start, model, jnp.zeros(region.dimension(model)))
     shapes = [part.shape for part in state] if isinstance(state, tuple | list) else []
-    n = chain.n or max(map(math.prod, shapes), default=1)
-    m = len(chain.variables) or len(shapes)
+    n = model.n or max(map(math.prod, shapes), default=1)
+    m = len(model.variables) or len(shapes)
     if not shapes or len(shapes) != m or not set(shapes) <= {(), (n,)}:
         raise ValueError(
-            f"Argument `region` must make {chain.state_in_words} of shape ({n},) each, but makes "
+            f"Argument `region` must make {model.state_in_words} of shape ({n},) each, but makes "
             f"{shown(state)}."
         )
-    chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable
+    model.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable
     return n
 
 

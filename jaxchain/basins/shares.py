@@ -33,7 +33,7 @@ from .._checks import (
 from .._statistics import student_reach, wilson
 from .._types import ScalarLike, State
 from ..chaos.classification import verdicts
-from ..model.arguments import as_chain
+from ..model.arguments import as_chain, as_model
 from ..model.model import AbstractModel
 from ..result import ended_well
 from ..sweeps.axes import Axes, check_axes, jobs, sizes
@@ -61,11 +61,11 @@ class Batch(NamedTuple):
     since: Float[np.ndarray, "p r s"]
 
     @staticmethod
-    def read(data: Any, classify: AbstractClassifier, chain: Any, shape: tuple) -> Batch:
+    def read(data: Any, classify: AbstractClassifier, model: Any, shape: tuple) -> Batch:
         """From a dataset of `sweep`, whose last swept dimension is `start`."""
         lanes = data["result"].values
         codes = data["state"].values.reshape(lanes.size, -1)
-        merged = classify.merge(codes, chain)
+        merged = classify.merge(codes, model)
         flat = {name: data[name].values.reshape(shape) for name in ("decided", "settling_time")}
         well = ended_well(lanes).reshape(shape)
         decided = well & (flat["decided"] != 0)
@@ -101,8 +101,8 @@ def of_replicates(values: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray
 class Tally:
     """All runs so far; states are numbered in the order in which they were found."""
 
-    def __init__(self, classify: AbstractClassifier, chain: AbstractModel):
-        self.classify, self.chain = classify, chain
+    def __init__(self, classify: AbstractClassifier, model: AbstractModel):
+        self.classify, self.chain = classify, model
         self.codes: list[np.ndarray] = []
         self._numbers: dict[bytes, int] = {}
         self._batches: list[tuple[np.ndarray, ...]] = []
@@ -186,24 +186,24 @@ class _From(eqx.Module):
 
     region: Any
 
-    def __call__(self, chain: AbstractModel, point: Float[Array, " dimension"]) -> State:
-        return self.region.start(chain, point)
+    def __call__(self, model: AbstractModel, point: Float[Array, " dimension"]) -> State:
+        return self.region.start(model, point)
 
 
 class Runs:
     """The runs from points of a region, at every combination of the parameters."""
 
     def __init__(
-        self, chain: AbstractModel, region: Any, n: int, over: Mapping[str, Any], classify: Any,
+        self, model: AbstractModel, region: Any, n: int, over: Mapping[str, Any], classify: Any,
         t1: Any, progress: bool, numerics: dict[str, Any],
     ):  # fmt: skip
-        self.chain, self.over, self.classify, self.t1 = chain, over, classify, t1
+        self.chain, self.over, self.classify, self.t1 = model, over, classify, t1
         self.n = n
         self.initial = _From(region)
         self.numerics: dict[str, Any] = {**numerics, "progress": progress}
         # Over the parameters, without a start.
-        nowhere = {"start": {"point": np.zeros((1, region.dimension(chain)))}}
-        self.axes: Axes = check_axes(chain, self.initial, {**over, **nowhere})
+        nowhere = {"start": {"point": np.zeros((1, region.dimension(model)))}}
+        self.axes: Axes = check_axes(model, self.initial, {**over, **nowhere})
         del self.axes["start"]
         self.coords: dict[str, Any] = {}
         self.attrs: dict[str, Any] = {}
@@ -440,7 +440,7 @@ _FIRST = 32
 
 
 def basin_shares(
-    chain: Any,
+    model: Any,
     region: Any,
     over: Mapping[str, Any] | None = None,
     *,
@@ -464,7 +464,7 @@ def basin_shares(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.  Or
+    - `model`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.  Or
       `AbstractOscillators` or `AbstractCells`, with `classify`; forced ones start at t = 0.
     - `region`: a `Box`, `Ball` or `Gaussian` of a `Chain`; a `Ranges` or `Sampler` of any model.
     - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
@@ -527,14 +527,16 @@ def basin_shares(
         >>> bool(sliding.low < 0.307126 < sliding.high)  # what `sliding_share` says
         True
     """
-    chain = as_chain(chain, AbstractModel)
+    model = as_model(model)
     check_concrete(
-        "shares are counted on the host; `sliding_share` has derivatives.", chain=chain, over=over
+        "shares are counted on the host; `sliding_share` has derivatives.", model=model, over=over
     )
-    n = check_region(region, chain)
+    n = check_region(region, model)
     if classify is None:
         as_chain(
-            chain, remedy="give `classify` for other models, as `VibratingMasses(above=1.0)`."
+            model,
+            remedy="give `classify` for other models, as `VibratingMasses(above=1.0)`.",
+            name="model",
         )
         classify = VibratingMasses()
     check_kind(
@@ -574,9 +576,9 @@ def basin_shares(
     devices = jax.local_devices() if devices is None else devices
     lanes = lane_count(n, replicates * _FIRST, devices, lanes)
     numerics |= {"lanes": lanes, "devices": devices}
-    runs = Runs(chain, region, n, over, classify, t1, progress, numerics)
-    cube = Points(region.dimension(chain), replicates, points, seed)
-    began, tally = time.perf_counter(), Tally(classify, chain)
+    runs = Runs(model, region, n, over, classify, t1, progress, numerics)
+    cube = Points(region.dimension(model), replicates, points, seed)
+    began, tally = time.perf_counter(), Tally(classify, model)
     count, drawn = _FIRST, []
 
     def result(seen: Checked, judge: bool) -> Dataset:

@@ -37,7 +37,7 @@ from ..continuation.arclength import continue_branch
 from ..continuation.branch import Branch, Labels, joined
 from ..continuation.damped_newton import check_tolerance, search
 from ..continuation.implicit import attach_derivative, if_found
-from ..model.arguments import as_chain, as_parameter, as_state
+from ..model.arguments import as_model, as_parameter, as_state
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
 from ..result import Outcome, SearchResult, is_one
@@ -225,7 +225,7 @@ def lyapunov_coefficient(
 
 
 def find_equilibrium(
-    chain: Any,
+    model: Any,
     guess: Any = None,
     *,
     tolerance: Any = 1e-12,
@@ -238,7 +238,7 @@ def find_equilibrium(
     equilibria fill an `interval`.  Then the contacts keep the displacements of `guess`
     where friction can hold them; other masses move until it can.
 
-    **Arguments:** `chain`: a `Chain`, `AbstractCells` or `AbstractOscillators`, without forcing;
+    **Arguments:** `model`: a `Chain`, `AbstractCells` or `AbstractOscillators`, without forcing;
     `guess`: a state, by default the closed form `chain.equilibrium()` or zeros; `tolerance` and
     `max_steps`: see `jaxchain.continuation.newton`.
 
@@ -264,9 +264,9 @@ def find_equilibrium(
         >>> bool(stuck.sticking), stuck.interval.ravel().tolist()
         (True, [-1.0, 1.0])
     """
-    state, limit = _checked(chain, guess, tolerance, max_steps)
+    state, limit = _checked(model, guess, tolerance, max_steps)
     check_flag("throw", throw)
-    found = _equilibrium(chain, state, to_float(tolerance), jnp.asarray(limit))
+    found = _equilibrium(model, state, to_float(tolerance), jnp.asarray(limit))
     if throw and not is_traced(found.successful) and not found.successful:
         raise RuntimeError(
             f"No equilibrium was found near `guess`: {found.message} The greatest rate is "
@@ -282,30 +282,30 @@ def near_equilibrium(model: AbstractModel, guess: Any) -> State:
     return as_state(model, guess, "guess")
 
 
-def _checked(chain: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[State, int]:
-    as_chain(chain, AbstractModel)
-    state = near_equilibrium(chain, guess)
-    check_autonomous(chain, state)
-    if chain.dry:  # beyond the speed of the belt a law need not be defined
+def _checked(model: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[State, int]:
+    as_model(model)
+    state = near_equilibrium(model, guess)
+    check_autonomous(model, state)
+    if model.dry:  # beyond the speed of the belt a law need not be defined
         half = len(state) // 2
         state = (*state[:half], *map(jnp.zeros_like, state[half:]))
     return state, check_tolerance(tolerance, max_steps)
 
 
-def _check_sliding(chain: Any) -> None:
-    if chain.dry and not is_traced(chain.belt_speed) and float(chain.belt_speed) == 0.0:
+def _check_sliding(model: Any) -> None:
+    if model.dry and not is_traced(model.belt_speed) and float(model.belt_speed) == 0.0:
         raise ValueError(
-            "Argument `chain` must have a belt that moves, but has dry friction and `belt_speed` "
+            "Argument `model` must have a belt that moves, but has dry friction and `belt_speed` "
             "= 0: its masses stick, each in an interval of displacements (`find_equilibrium`), "
             "in which there is no Hopf point. Give it a speed, `chain.with_(belt_speed=1.0)`."
         )
 
 
 @eqx.filter_jit
-def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
+def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
     m, start = len(guess), lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
-    live, frozen = Rates.of(chain, m), Rates.of(lax.stop_gradient(chain), m)
+    live, frozen = Rates.of(model, m), Rates.of(lax.stop_gradient(model), m)
 
     def solved(residual: Any, args: Any, frozen_args: Any) -> tuple[Any, Array]:
         root = search(residual, start, frozen_args, tolerance, limit, weights)
@@ -316,7 +316,7 @@ def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Eq
         root, u = solved(_residual, live, frozen)
         J = jax.jacfwd(frozen)(root.value)
     else:
-        contact, sticking = chain.contact, frozen.direction == STICK
+        contact, sticking = model.contact, frozen.direction == STICK
         given = guess[contact - m // 2]
         root, u = solved(_balance, (live, given), (frozen, lax.stop_gradient(given)))
         # Contacts that stick are left out, so that their eigenvalues are exactly 0.
@@ -329,13 +329,13 @@ def _equilibrium(chain: Any, guess: State, tolerance: Array, limit: Array) -> Eq
             def at_limit(field: Any) -> Rates:
                 return Rates(field.with_(belt_speed=0.0), m, None, direction)
 
-            root, u = solved(_residual, at_limit(chain), at_limit(frozen.field))
+            root, u = solved(_residual, at_limit(model), at_limit(frozen.field))
             return if_found(sticking & root.successful, jnp.split(u, m)[contact - m // 2])
 
         interval = jnp.sort(jax.vmap(end)(jnp.array([FORWARD, BACKWARD])), axis=0)
     values = jnp.linalg.eigvals(J)
     return Equilibrium(
-        chain=chain,
+        chain=model,
         state=tuple(jnp.split(u, m)),
         eigenvalues=values[jnp.argsort(-jnp.real(values))],
         residual=root.residual,
@@ -397,7 +397,7 @@ def _hopf_residual(u: Array, system: HopfSystem) -> Array:
 
 
 def find_hopf_point(
-    chain: Any,
+    model: Any,
     parameter: str,
     guess: Any = None,
     *,
@@ -420,7 +420,7 @@ def find_hopf_point(
     rate of an oscillation changes its sign, such as the onset of flutter.  A rate that changes its
     sign twice within one step is not seen: give a narrower range, or look at `complex_modes`.
 
-    **Arguments:** `chain`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
+    **Arguments:** `model`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
     `parameter`: the name of a number that `chain.with_` takes, one for all cells; `frequency`:
     choose the pair whose frequency is closest to this instead; `bounds`: (low, high), finite.
 
@@ -442,16 +442,16 @@ def find_hopf_point(
         >>> round(float(point.frequency), 9)
         1.0
     """
-    state, limit = _checked(chain, guess, tolerance, max_steps)
+    state, limit = _checked(model, guess, tolerance, max_steps)
     check_flag("throw", throw)
-    as_parameter(chain, parameter)
-    _check_sliding(chain)
+    as_parameter(model, parameter)
+    _check_sliding(model)
     if frequency is not None:
         check_number("frequency", frequency, "it chooses one of several pairs of eigenvalues.")
     if bounds is not None:
-        bounds = _range_around(chain, parameter, bounds)
+        bounds = _range_around(model, parameter, bounds)
     found, growth = _hopf_point(
-        chain, parameter, state, None if bounds is None else jnp.asarray(bounds),
+        model, parameter, state, None if bounds is None else jnp.asarray(bounds),
         None if frequency is None else to_float(frequency), to_float(tolerance),
         jnp.asarray(limit),
     )  # fmt: skip
@@ -461,17 +461,17 @@ def find_hopf_point(
             where = f"between {bounds[0]:.6g} and {bounds[1]:.6g}"
             remedy = "The greatest growth rate of an oscillation there is "
             remedy += f"{float(growth[0]):.3g} to {float(growth[1]):.3g}"
-            remedy += ": without a change of sign no oscillation sets in. Choose another range, or "
-            remedy += "a narrower one where two changes may lie within one of 64 steps."
+            remedy += ": without a change of sign no oscillation sets in. Choose another range, "
+            remedy += "or a narrower one where two changes may lie within one of 64 steps."
         raise RuntimeError(
             f"No Hopf point in `{parameter}` was found {where}: {found.message} {remedy}"
         )
     return found
 
 
-def _range_around(chain: Any, parameter: str, bounds: Any) -> tuple[float, float]:
+def _range_around(model: Any, parameter: str, bounds: Any) -> tuple[float, float]:
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
-    p = chain.value_of(parameter)
+    p = model.value_of(parameter)
     if not np.isfinite(high - low) or not (is_traced(p) or low <= p <= high):
         raise ValueError(
             f"Argument `bounds` must be finite and around the present value, {parameter} = "
@@ -519,7 +519,7 @@ def _nearest_onset(
 
 @eqx.filter_jit
 def _hopf_point(
-    chain: Any,
+    model: Any,
     parameter: str,
     guess: State,
     bounds: Any,
@@ -527,7 +527,7 @@ def _hopf_point(
     tolerance: Array,
     limit: Array,
 ) -> tuple[HopfPoint, Any]:
-    m, frozen = len(guess), lax.stop_gradient(chain)
+    m, frozen = len(guess), lax.stop_gradient(model)
     rates = Rates.of(frozen, m, parameter)
     p = frozen.value_of(parameter)
     y = lax.stop_gradient(jnp.concatenate(guess))
@@ -564,7 +564,7 @@ def _hopf_point(
     if bounds is not None:
         good = good & (bounds[0] <= root.value[-1]) & (root.value[-1] <= bounds[1])
     none = SearchResult.where(root.successful, SearchResult.no_step_helps, root.result)
-    live = Rates.of(chain, m, parameter)
+    live = Rates.of(model, m, parameter)
     u = attach_derivative(_hopf_residual, root.value, HopfSystem(live, near))
     y, p = (root.value[:-2], root.value[-1])
     if rates.direction is not None:
@@ -614,7 +614,7 @@ def _hopf_test(u: np.ndarray, p: float, tangent: np.ndarray, values: Any) -> flo
 
 
 def continue_equilibrium(
-    chain: Any,
+    model: Any,
     guess: Any,
     parameter: str,
     bounds: tuple[Any, Any],
@@ -629,7 +629,7 @@ def continue_equilibrium(
 
     **Arguments:**
 
-    - `chain`, `guess`: as for `find_equilibrium`.
+    - `model`, `guess`: as for `find_equilibrium`.
     - `parameter`: the name of a number that `chain.with_` takes, one for all cells; `bounds`: its
       range, which contains the value of the chain, and at whose ends the branch ends.  With dry
       friction it ends at "belt_speed = 0", where the masses stick.
@@ -657,10 +657,10 @@ def continue_equilibrium(
         >>> [(point.kind, round(point.p, 6)) for point in branch.special]
         [('hopf', 1.151293)]
     """
-    check_concrete("use `find_hopf_point`.", chain=chain, guess=guess)
-    as_chain(chain, AbstractModel)
-    p = float(as_parameter(chain, parameter))
-    _check_sliding(chain)
+    check_concrete("use `find_hopf_point`.", model=model, guess=guess)
+    as_model(model)
+    p = float(as_parameter(model, parameter))
+    _check_sliding(model)
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
     if not low <= p <= high:
         raise ValueError(
@@ -668,8 +668,8 @@ def continue_equilibrium(
             f"but is {(low, high)}: change one of them, as `chain.with_({parameter}={low:.6g})`."
         )
     check_positive_number("max_step", max_step, "0.02 of the range is usual.")
-    state = find_equilibrium(chain, guess).state
-    rates, start = Rates.of(chain, len(state), parameter), np.concatenate(state)
+    state = find_equilibrium(model, guess).state
+    rates, start = Rates.of(model, len(state), parameter), np.concatenate(state)
     width = high - low if 0.0 < high - low < np.inf else max(abs(p), 1.0)
     size = np.full(start.size, max(1.0, np.max(np.abs(start)))) * start.size**0.5
     options = {
@@ -680,7 +680,7 @@ def continue_equilibrium(
         **options,
     }
 
-    if stops := chain.dry and parameter == "belt_speed":
+    if stops := model.dry and parameter == "belt_speed":
         low, high = (max(low, 0.0), high) if p > 0 else (low, min(high, 0.0))
 
     def follow(direction: Any) -> Branch:
@@ -712,16 +712,16 @@ def continue_equilibrium(
     stable = None if branch.extra is None else np.real(branch.extra[:, 0]) < 0.0
     special = tuple(filter(happens, branch.special))
     return replace(
-        branch, special=special, stable=stable, labels=labels_of(chain, len(state), parameter)
+        branch, special=special, stable=stable, labels=labels_of(model, len(state), parameter)
     )
 
 
-def labels_of(chain: AbstractModel, m: int, name: str) -> Labels:
+def labels_of(model: AbstractModel, m: int, name: str) -> Labels:
     """Of a branch of equilibria."""
-    parts = [chain.variable(i) for i in range(m)]
-    words = [part.name if chain.components else part.long_name for part in parts]
+    parts = [model.variable(i) for i in range(m)]
+    words = [part.name if model.components else part.long_name for part in parts]
     attrs = {
         part.name: {"long_name": name, "units": part.unit}
         for part, name in zip(parts, words, strict=True)
     }
-    return Labels(name, chain.parameter(name).attrs, attrs)
+    return Labels(name, model.parameter(name).attrs, attrs)

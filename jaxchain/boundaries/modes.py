@@ -21,7 +21,7 @@ from .._final import final
 from .._types import State
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
-from ..model.arguments import as_chain, as_parameter
+from ..model.arguments import as_model, as_parameter
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
 from ..model.provenance import circumstances, parameters_of
@@ -256,7 +256,7 @@ def complex_modes(
         >>> print(modes.growth_rate.max(axis=1).round(3) + 0.0)
         [0.    0.    0.091]
     """
-    as_chain(model, AbstractModel, name="model")
+    as_model(model)
     state = near_equilibrium(model, guess)
     check_autonomous(model, state)
     limit = check_tolerance(tolerance, max_steps)

@@ -66,7 +66,7 @@ from ..cycles.phases import KINDS as DRY_KINDS
 from ..cycles.phases import Phases, phases_of, slip_phases
 from ..cycles.shooting import Shooting
 from ..cycles.symmetry import Symmetry
-from ..model.arguments import as_chain, as_mass, as_parameter
+from ..model.arguments import as_mass, as_model, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
@@ -456,7 +456,7 @@ class SpecialCycle(Outcome):
 
 def find_special_cycle(
     point: Any,
-    chain: Any = None,
+    model: Any = None,
     *,
     kind: Any = None,
     mass: Any = None,
@@ -475,8 +475,8 @@ def find_special_cycle(
       `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
       `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
       last three must not be traced.
-    - `chain`: the model with other numbers, by default the same; its own value of the parameter is
-      ignored.  If the search fails, it goes there in steps, unless `chain` is traced.
+    - `model`: the model with other numbers, by default the same; its own value of the parameter is
+      ignored.  If the search fails, it goes there in steps, unless `model` is traced.
     - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
       mass, while it slides, just reaches the speed of the belt), "release" (while it sticks, the
       force just reaches the static limit) or "stick onset" (it begins to stick where it passed the
@@ -484,7 +484,7 @@ def find_special_cycle(
     - `tolerance`, `max_steps`: see `jaxchain.continuation.newton`.
 
     **Returns:** a `SpecialCycle`; `value`, `state` and `period` have first derivatives in every
-    number of `chain`.  It works under `jit` and `vmap`; there `throw` has no effect.
+    number of `model`.  It works under `jit` and `vmap`; there `throw` has no effect.
 
     **Raises:** `ValueError` for bad input, `RuntimeError` if no such cycle is found.
 
@@ -506,33 +506,33 @@ def find_special_cycle(
     if kind is None:
         equations, name, U = _start(point)
     else:
-        equations, name, U = _of_dry_cycle(point, chain, kind, mass, parameter)
-    model = equations.field
-    chain = model if chain is None else as_chain(chain, AbstractModel)
-    check_kind("chain", chain, type(model), "the model of `point`", "change its numbers.")
+        equations, name, U = _of_dry_cycle(point, model, kind, mass, parameter)
+    known = equations.field
+    model = known if model is None else as_model(model)
+    check_kind("model", model, type(known), "the model of `point`", "change its numbers.")
     if equations.dry:
-        chain = chain.with_(width=None)
+        model = model.with_(width=None)
     else:
-        require_smoothed(chain, "")
-    found = _in_steps(equations, chain, name, U, to_float(tolerance), jnp.asarray(limit))
+        require_smoothed(model, "")
+    found = _in_steps(equations, model, name, U, to_float(tolerance), jnp.asarray(limit))
     return _checked(found) if throw else found
 
 
 def _in_steps(
-    equations: _CycleEquations, chain: Any, name: str, U: Array, *settings: Array
+    equations: _CycleEquations, model: Any, name: str, U: Array, *settings: Array
 ) -> SpecialCycle:
-    """The special cycle of `chain`; one that is too far is reached by models in between."""
+    """The special cycle of `model`; one that is too far is reached by models in between."""
     found, begin, done, step = (
-        _find(equations, chain, name, U, *settings),
+        _find(equations, model, name, U, *settings),
         equations.field,
         0.0,
         0.5,
     )
-    if is_traced(found.successful) or jax.tree.structure(begin) != jax.tree.structure(chain):
+    if is_traced(found.successful) or jax.tree.structure(begin) != jax.tree.structure(model):
         return found
     while not found.successful and step > _LEAST_STEP:
         share = min(done + step, 1.0)
-        there = jax.tree.map(lambda a, b, share=share: a + share * (b - a), begin, chain)
+        there = jax.tree.map(lambda a, b, share=share: a + share * (b - a), begin, model)
         near = _find(equations, there, name, U, *settings)
         if near.successful:
             U, done, step = near.unknowns, share, 2.0 * step
@@ -554,12 +554,12 @@ def _checked(found: SpecialCycle) -> SpecialCycle:
 
 @eqx.filter_jit
 def _find(
-    given: _CycleEquations, chain: Any, name: str, U: Array, tolerance: Array, limit: Array
+    given: _CycleEquations, model: Any, name: str, U: Array, tolerance: Array, limit: Array
 ) -> SpecialCycle:
     def equations(field: Any) -> _CycleEquations:
         return replace(given, shooting=replace(given.shooting, field=field, parameter=(name,)))
 
-    frozen, weights = equations(lax.stop_gradient(chain)), 1.0 / (1.0 + jnp.abs(U))
+    frozen, weights = equations(lax.stop_gradient(model)), 1.0 / (1.0 + jnp.abs(U))
 
     def both(U: Array) -> tuple[Array, Any, Any]:
         value, slopes, extra = frozen.linearise(U)
@@ -575,7 +575,7 @@ def _find(
         more = (result == SearchResult.successful) & (jnp.max(extra.margins) > _MET)
         result = SearchResult.where(more, SearchResult.other_events, result)
     once = "A special cycle can be differentiated once only."
-    live = equations(chain)
+    live = equations(model)
     root = attach_derivative(_solved, root, live, once=once)
     root = if_found(result == SearchResult.successful, root)
     u, (value,), _ = live.split(root)
@@ -624,14 +624,14 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
 
 
 def _of_dry_cycle(
-    point: Any, chain: Any, kind: Any, mass: Any, name: Any
+    point: Any, model: Any, kind: Any, mass: Any, name: Any
 ) -> tuple[_CycleEquations, str, Array]:
     """The same of a cycle with dry friction near a special one."""
     check_one_of("kind", kind, DRY_KINDS)
     if is_cycle(point):
         field, state, period = point.chain, point.state, point.period
-    elif isinstance(point, tuple | list) and len(point) == 2 and chain is not None:
-        field, (state, period) = chain, point
+    elif isinstance(point, tuple | list) and len(point) == 2 and model is not None:
+        field, (state, period) = model, point
     else:
         raise ValueError(
             "Argument `point` must be a `LimitCycle`, or (state, period) with a `chain`, if there "
@@ -737,10 +737,10 @@ class SpecialCurve(Printed):
         """The special points of one kind."""
         return tuple(point for point in self.special if point.kind == kind)
 
-    def at(self, index: int, chain: Any = None) -> SpecialCycle | HopfPoint:
+    def at(self, index: int, model: Any = None) -> SpecialCycle | HopfPoint:
         """Point `index`, solved again for the first number, with derivatives in the others.
 
-        `chain`: the model with other numbers, by default those of the point.
+        `model`: the model with other numbers, by default those of the point.
 
         **Raises:** `RuntimeError` if no such point is found.
         """
@@ -751,15 +751,15 @@ class SpecialCurve(Printed):
                 "is 0: give one next to it."
             )
         first, second = self.names
-        if chain is None:
-            chain = self.chain.with_(**{second: u[-1]})
+        if model is None:
+            model = self.chain.with_(**{second: u[-1]})
         if self.kind == "hopf":
             state = tuple(part[index] for part in self.state)
-            there = chain.with_(**{first: u[-2]})
+            there = model.with_(**{first: u[-2]})
             return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
         settings = to_float(_TOLERANCE), jnp.asarray(30)
         U = jnp.asarray(u[:-1])
-        return _checked(_in_steps(self.equations[index], chain, first, U, *settings))
+        return _checked(_in_steps(self.equations[index], model, first, U, *settings))
 
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.

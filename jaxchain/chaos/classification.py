@@ -33,7 +33,7 @@ from .._progress import progress_bar
 from .._statistics import mean_interval
 from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
 from ..observers.amplitude import Amplitude
 from ..observers.quantities import energy
@@ -765,10 +765,10 @@ _INSTEAD = "use `lyapunov_spectrum` or `simulate`."
 _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
-def verdict(chain: AbstractModel, initial: Any, **settings: Any) -> Verdict:
+def verdict(model: AbstractModel, initial: Any, **settings: Any) -> Verdict:
     """Whether the motion from `initial` is steady, periodic, quasi-periodic or chaotic.
 
-    **Arguments:** `chain`; `initial`, the pair (x, v), both of shape (n,), or all m arrays of
+    **Arguments:** `model`; `initial`, the pair (x, v), both of shape (n,), or all m arrays of
     other cells; `settings` as for `verdicts`.
 
     **Returns:** a `Verdict`.
@@ -787,14 +787,14 @@ def verdict(chain: AbstractModel, initial: Any, **settings: Any) -> Verdict:
         >>> print(found.reason)  # a mass that sticks forgets everything
         7 runs: 7 cycle; locked by 2000 to 2000, slowest relaxation time 0
     """
-    as_chain(chain, AbstractModel)
-    check_concrete(_INSTEAD, chain=chain, initial=initial)
-    state = as_state(chain, initial)
-    return verdicts(chain, tuple(part[None] for part in state), **settings)[0]
+    as_model(model)
+    check_concrete(_INSTEAD, model=model, initial=initial)
+    state = as_state(model, initial)
+    return verdicts(model, tuple(part[None] for part in state), **settings)[0]
 
 
 def verdicts(
-    chain: AbstractModel,
+    model: AbstractModel,
     initials: Any,
     *,
     noise: Sequence[float] = (1e-8, 1e-3),
@@ -827,7 +827,7 @@ def verdicts(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initials`: (x, v), both of
+    - `model`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initials`: (x, v), both of
       shape (states, n), or all m arrays of other cells.  Forced ones start at t = 0.
     - `noise`: standard deviations, ascending, in the units of the numbers: far below the size of
       the motion; () runs each state once.
@@ -861,13 +861,13 @@ def verdicts(
         >>> [one.verdict for one in found]
         ['steady sliding', 'periodic']
     """
-    as_chain(chain, AbstractModel)
+    as_model(model)
     criteria = Criteria() if criteria is None else criteria
     check_kind("criteria", criteria, Criteria, "None or `Criteria`", "`Criteria()` has them.")
-    check_concrete(_INSTEAD, chain=chain, initials=initials)
-    states = as_state(chain, initials, "initials", batch=True)
-    first_state = as_state(chain, tuple(part[0] for part in states), "initials")
-    check_force(chain, first_state)
+    check_concrete(_INSTEAD, model=model, initials=initials)
+    states = as_state(model, initials, "initials", batch=True)
+    first_state = as_state(model, tuple(part[0] for part in states), "initials")
+    check_force(model, first_state)
     counts = (seeds, "seeds"), (exponent_runs, "exponent_runs"), (lanes, "lanes")
     for value, name in counts:
         check_whole(name, value, 1, _MOST_RUNS, "every one of them is a run.")
@@ -879,13 +879,13 @@ def verdicts(
     for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
     check_positive_number("rtol", rtol, "1e-6 is usual.")
-    solver = Method(solver, rtol).checked(chain, first_state[0].size).solver
+    solver = Method(solver, rtol).checked(model, first_state[0].size).solver
     if np.shape(to_float(noise, "noise", _NOISE)) != (len(np.ravel(noise)),):
         raise ValueError(f"Argument `noise` must be a sequence, but is {shown(noise)}: {_NOISE}")
     check_nonnegative("noise", noise, _NOISE)
     if longest < first:
         raise ValueError(f"Argument `longest` = {longest} must be at least `first` = {first}.")
-    forced = chain.forcing_period()
+    forced = model.forcing_period()
     if forced is not None:
         # Whole periods, so that every part of a run starts at the phase 0 of the force.
         forced = float(forced)
@@ -894,7 +894,7 @@ def verdicts(
         exponent_time = whole / (1.0 + _SETTLE)
     trials = _starts(states, noise, seeds, key, math.nan if forced is None else forced)
     task = _VerdictTask(
-        chain,
+        model,
         solver,
         jnp.asarray(float(window)),
         jnp.asarray(float(exponent_time)),

@@ -31,7 +31,7 @@ from .._final import final
 from .._progress import progress_bar
 from .._statistics import student_reach
 from .._types import State
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_model, as_state
 from ..model.chain import Chain
 from ..model.model import AbstractModel
 from ..observers.energy_balance import Divergence
@@ -333,7 +333,7 @@ _MOST_BLOCKS = 10**6
 
 
 def lyapunov_spectrum(
-    chain: Any,
+    model: Any,
     initial: Any,
     t1: Any,
     *,
@@ -370,7 +370,7 @@ def lyapunov_spectrum(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initial`: the pair (x, v).
+    - `model`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initial`: the pair (x, v).
     - `t1`: the run goes from 0 to here; the window of the averages is [transient, t1].
     - `count`: the number of exponents; None: all 2n.
     - `transient`: left out of the averages; in its second half disturbances are integrated, too,
@@ -413,11 +413,11 @@ def lyapunov_spectrum(
         print(found.exponents, found.low, found.high, found.chaotic())
         ```
     """
-    as_chain(chain, AbstractModel)
-    state = as_state(chain, initial)
+    as_model(model)
+    state = as_state(model, initial)
     chosen = Method.of(
         method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
-    ).suited(chain, state[0].shape[0], state)
+    ).suited(model, state[0].shape[0], state)
     check_flag("progress", progress)
     check_flag("throw", throw)
     if not isinstance(seed, jax.Array):
@@ -438,9 +438,9 @@ def lyapunov_spectrum(
     dimension = len(state) * state[0].shape[0]
     remedy = "there is an exponent for each number of the state."
     count = dimension if count is None else check_whole("count", count, 1, dimension, remedy)
-    rate = None if chosen.dry else _stiffest_rate(chain, state, count)
+    rate = None if chosen.dry else _stiffest_rate(model, state, count)
     if interval is None:
-        interval = _usual_interval(chain, state, count, rate)
+        interval = _usual_interval(model, state, count, rate)
     else:
         check_positive_number("interval", interval, "a period is about 2 pi.")
         block = 0.0 if traced else (float(t1) - float(transient)) / blocks
@@ -456,16 +456,16 @@ def lyapunov_spectrum(
     max_steps = chosen.max_steps
     window = to_float(transient), to_float(t1), to_float(interval)
     waits = is_traced(transient) or float(transient) > 0
-    frame, spans = _begin(plan, chain, state, window, seed, count, blocks, waits, max_steps)
+    frame, spans = _begin(plan, model, state, window, seed, count, blocks, waits, max_steps)
     if is_traced(frame, spans):
         frame, growths = lax.scan(
-            lambda frame, span: advance_span(plan, chain, frame, span, max_steps), frame, spans
+            lambda frame, span: advance_span(plan, model, frame, span, max_steps), frame, spans
         )
     else:
         parts = []
         for k in progress_bar(range(blocks + 1), desc="lyapunov", unit="block", show=progress):
             span = jtu.tree_map(lambda a, k=k: a[k], spans)
-            frame, growth = advance_span(plan, chain, frame, span, max_steps)
+            frame, growth = advance_span(plan, model, frame, span, max_steps)
             parts.append(growth)
         growths = jtu.tree_map(lambda *rows: jnp.stack(rows), *parts)
     spectrum = forward_only(_read(frame, growths, spans))
@@ -493,7 +493,7 @@ def _spans(start: Array, end: Array, interval: Array, blocks: int) -> Interval:
 @eqx.filter_jit
 def _begin(
     plan: AbstractPlan,
-    chain: AbstractModel,
+    model: AbstractModel,
     state: State,
     window: tuple[Array, Array, Array],
     seed: Any,
@@ -503,12 +503,12 @@ def _begin(
     max_steps: int | None,
 ) -> tuple[Frame, Interval]:
     start, end, _ = window
-    progress = plan.begin(chain, state, 0.0, end)
+    progress = plan.begin(model, state, 0.0, end)
     forward = (start >= 0) & (end > start)  # false for NaN
     result = Result.where(forward | ~progress.running, progress.result, Result.bad_span)
     progress = eqx.tree_at(lambda p: p.result, progress, result)
     if waits:
-        progress, _ = plan.advance(chain, progress, 0.5 * start, max_steps=max_steps)
+        progress, _ = plan.advance(model, progress, 0.5 * start, max_steps=max_steps)
     basis = random_basis(seed, len(state) * state[0].shape[0], count)
     return Frame(progress, basis), _spans(*window, blocks)
 

@@ -688,7 +688,7 @@ class CycleBranch(Printed):
 
 
 def continue_cycle(
-    chain: Any,
+    model: Any,
     state: Any = None,
     period: Any = None,
     *,
@@ -715,7 +715,7 @@ def continue_cycle(
 
     **Arguments:**
 
-    - `chain`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
+    - `model`, `state` = (x, v), `period`: a cycle, or near one, at the greatest velocity of mass
       `mass` (by default the fastest) in the direction of the belt; or all three in one
       `LimitCycle`.  A multiple of the minimal period is reduced to it.  The chain may be any
       `AbstractOscillators` or `AbstractCells`; forced ones are cut at t = 0.
@@ -751,17 +751,17 @@ def continue_cycle(
     """
     check_following(stop, progress)
     if state is None and period is None and mass is None:
-        mass = getattr(chain, "mass", None)
-    chain, state, period = as_orbit(chain, state, period)
-    check_concrete("use `find_limit_cycle`.", chain=chain, state=state, period=period)
-    require_smoothed(chain, "follow `find_limit_cycle` from one belt speed to the next, or ")
-    state = check_orbit(chain, state, period, rtol)
-    n, velocity = state[0].size, chain.value_and_rate(0.0, state)[1]
-    mass = as_mass(n, mass, int(jnp.argmax(chain.belt_direction() * velocity)))
-    p = float(as_parameter(chain, parameter))
-    solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=state)
-    (images, shift), turns = as_symmetry(images, chain, state, mass), turns_of(chain, period)
-    shooting = Shooting(chain, rtol, solver, mass, images, parameter, len(state), turns, shift)
+        mass = getattr(model, "mass", None)
+    model, state, period = as_orbit(model, state, period)
+    check_concrete("use `find_limit_cycle`.", model=model, state=state, period=period)
+    require_smoothed(model, "follow `find_limit_cycle` from one belt speed to the next, or ")
+    state = check_orbit(model, state, period, rtol)
+    n, velocity = state[0].size, model.value_and_rate(0.0, state)[1]
+    mass = as_mass(n, mass, int(jnp.argmax(model.belt_direction() * velocity)))
+    p = float(as_parameter(model, parameter))
+    solver = fit_linear_solve(Rodas5P(), model, float(rtol), state=state)
+    (images, shift), turns = as_symmetry(images, model, state, mass), turns_of(model, period)
+    shooting = Shooting(model, rtol, solver, mass, images, parameter, len(state), turns, shift)
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):

@@ -28,7 +28,7 @@ from .._final import final
 from .._progress import progress_bar
 from .._types import State
 from ..continuation.damped_newton import check_tolerance
-from ..model.arguments import as_chain, as_images, as_mass, as_state
+from ..model.arguments import as_chain, as_images, as_mass, as_model, as_state
 from ..model.chain import Chain, require_smoothed, steady_sliding
 from ..model.initial_states import reference_site
 from ..model.model import AbstractModel
@@ -187,7 +187,7 @@ def random_starts(
 
 
 def find_limit_cycles(
-    chain: AbstractModel,
+    model: AbstractModel,
     guesses: Any = 200,
     *,
     known: Iterable[LimitCycle] = (),
@@ -208,7 +208,7 @@ def find_limit_cycles(
 
     **Arguments:**
 
-    - `chain`: a `Chain` with smoothed friction, or any other model.
+    - `model`: a `Chain` with smoothed friction, or any other model.
     - `guesses`: (states, periods), a state with a first axis over the starts, best where mass
       `mass` is fastest, and periods of shape (starts,).  For a `Chain` also a number: so many
       starts from `random_starts`, with the seed `key`.
@@ -233,8 +233,8 @@ def find_limit_cycles(
         >>> all(cycle.residual < 1e-9 for cycle in search.cycles)
         True
     """
-    as_chain(chain, AbstractModel)
-    require_smoothed(chain, "use `find_limit_cycle`, ")
+    as_model(model)
+    require_smoothed(model, "use `find_limit_cycle`, ")
     check_tolerances(rtol, None, MAX_STEP)
     limit = check_tolerance(tolerance, max_steps)
     for name, value in (("rounds", rounds), ("lanes", lanes)):
@@ -246,15 +246,17 @@ def find_limit_cycles(
     for place, cycle in enumerate(known := list(known)):
         check_kind(f"known[{place}]", cycle, LimitCycle, "a `LimitCycle`")
     if isinstance(guesses, int) and not isinstance(guesses, bool):
-        ring = as_chain(chain, remedy="give `guesses` = (states, periods) for other models.")
+        ring = as_chain(
+            model, remedy="give `guesses` = (states, periods) for other models.", name="model"
+        )
         check_whole("guesses", guesses)
         mass = as_mass(ring.n, mass, reference_site(ring.n))
         guesses = random_starts(ring, guesses, mass, key)
-    states, periods = _checked_starts(chain, guesses)
+    states, periods = _checked_starts(model, guesses)
     n, m = states[0].shape[1], len(states)
     mass = as_mass(n, mass, reference_site(n))
     one = tuple(part[0] for part in states)
-    forced = chain.forcing_period()
+    forced = model.forcing_period()
     turns = None
     if forced is not None:
         every = np.unique(np.round(periods / float(forced)))
@@ -264,12 +266,12 @@ def find_limit_cycles(
                 f"multiple of that of the force, {float(forced):g}."
             )
         turns = int(every[0])
-    solver = fit_linear_solve(Rodas5P(), chain, float(rtol), state=one)
+    solver = fit_linear_solve(Rodas5P(), model, float(rtol), state=one)
     images = as_images(None, n, mass)
-    shooting = Shooting(chain, rtol, solver, mass, images, None, m, turns)
+    shooting = Shooting(model, rtol, solver, mass, images, None, m, turns)
     if turns is None:
         states = _on_the_section(shooting, states, jnp.asarray(periods))
-    motions = ring_motions(chain, one)
+    motions = ring_motions(model, one)
     points = [_points(shooting, cycle, motions) for cycle in known]
     search = _Search(shooting, _stacked([], shooting.size), to_float(tolerance), np.asarray(limit))
     free, cycles, outcomes, failures = search, [], [], {}
@@ -289,7 +291,7 @@ def find_limit_cycles(
                 for k, i in enumerate(index[: len(periods) - first]):
                     pair = [jax.tree.map(lambda a, k=k: a[k], cycle) for cycle in (rough, fine)]
                     names = [name_of(cycle.result) for cycle in pair]
-                    cycle = eqx.tree_at(lambda c: c.chain, pair[1], chain)
+                    cycle = eqx.tree_at(lambda c: c.chain, pair[1], model)
                     reason = next((name for name in names if name != "successful"), "")
                     if not reason and not _is_isolated(cycle, float(rtol)):
                         reason = "not isolated"
@@ -315,13 +317,13 @@ def find_limit_cycles(
     return CycleSearch(cycles, np.maximum(np.array(outcomes), -1), failures, gave_up)
 
 
-def _checked_starts(chain: AbstractModel, guesses: Any) -> tuple[tuple[Array, ...], np.ndarray]:
+def _checked_starts(model: AbstractModel, guesses: Any) -> tuple[tuple[Array, ...], np.ndarray]:
     if not isinstance(guesses, tuple | list) or len(guesses) != 2:
         raise ValueError(
             "Argument `guesses` must be (states, periods), or the number of random starts of a "
             f"`Chain`, but is {shown(guesses)}."
         )
-    states = as_state(chain, guesses[0], "guesses", batch=True)
+    states = as_state(model, guesses[0], "guesses", batch=True)
     periods = np.asarray(to_float(guesses[1], "guesses"), float)
     if periods.shape != states[0].shape[:1] or not np.all(periods > 0):
         raise ValueError(

@@ -15,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 from .._checks import as_array, check_positive_number, is_traced, shown, to_float
 from .._final import final
 from .._types import State
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_model, as_state
 from ..model.chain import require_smoothed
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
@@ -33,7 +33,7 @@ _ROUNDINGS = 1e3
 
 
 def monodromy_matrix(
-    chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
+    model: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, "two_n two_n"]:
     """M = d(state after `period`) / d(state), with states in the order (x_1 .. x_n, v_1 .. v_n).
 
@@ -59,18 +59,18 @@ def monodromy_matrix(
     >>> round(float(jnp.linalg.det(M)), 6)  # exp(-2 xi)
     0.904837
     """
-    chain, state, period = as_orbit(chain, state, period)
-    if getattr(chain, "dry", False):
-        state = check_orbit(chain, state, period, rtol)
-        return _of_events(chain, state, to_float(period), to_float(rtol))
-    return _period(chain, state, period, rtol).monodromy
+    model, state, period = as_orbit(model, state, period)
+    if getattr(model, "dry", False):
+        state = check_orbit(model, state, period, rtol)
+        return _of_events(model, state, to_float(period), to_float(rtol))
+    return _period(model, state, period, rtol).monodromy
 
 
 @eqx.filter_jit
-def _of_events(chain: Any, state: State, period: Array, rtol: Array) -> Array:
+def _of_events(model: Any, state: State, period: Array, rtol: Array) -> Array:
     def end(y: Array) -> tuple[Array, Array]:
         how: Any = {"solver": EventDriven(), "rtol": rtol, "throw": False}
-        run = simulate(chain, tuple(jnp.split(y, len(state))), period, **how)
+        run = simulate(model, tuple(jnp.split(y, len(state))), period, **how)
         return jnp.concatenate(run.state), run.result == Result.successful
 
     slopes, good = jax.jacfwd(end, has_aux=True)(jnp.concatenate(state))
@@ -78,17 +78,17 @@ def _of_events(chain: Any, state: State, period: Array, rtol: Array) -> Array:
 
 
 def trace_integral(
-    chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
+    model: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, ""]:
     """L = integral of tr J over `period`, along the orbit from `state`.
 
     By Liouville's formula det M = exp(L).  Arguments and errors of `monodromy_matrix`.
     """
-    return _period(chain, state, period, rtol).trace_integral
+    return _period(model, state, period, rtol).trace_integral
 
 
 def liouville_determinant(
-    chain: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
+    model: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
 ) -> Float[Array, ""]:
     """exp(integral of tr J), the exact det M, by a quadrature independent of M.
 
@@ -111,7 +111,7 @@ def liouville_determinant(
         >>> round(float(liouville_determinant(chain, start, 1.0)), 6), round(float(det), 6)
         (0.904837, 0.904837)
     """
-    return jnp.exp(trace_integral(chain, state, period, rtol=rtol))
+    return jnp.exp(trace_integral(model, state, period, rtol=rtol))
 
 
 def liouville_defect(
@@ -255,68 +255,68 @@ def is_cycle(given: Any) -> bool:
     return isinstance(given, LimitCycle)
 
 
-def as_orbit(chain: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
+def as_orbit(model: Any, state: Any, period: Any) -> tuple[Any, Any, Any]:
     """The chain, a state and a period, from three arguments or a `LimitCycle` alone."""
     if state is not None or period is not None:
-        return chain, state, period
-    if not is_cycle(chain):
+        return model, state, period
+    if not is_cycle(model):
         raise ValueError(
-            "Argument `chain` must be a `LimitCycle`, or a chain for which `state` and `period` "
-            f"are given, too, but is {shown(chain)}."
+            "Argument `model` must be a `LimitCycle`, or a model for which `state` and `period` "
+            f"are given, too, but is {shown(model)}."
         )
-    return chain.chain, chain.state, chain.period
+    return model.chain, model.state, model.period
 
 
-def _period(chain: Any, state: Any, period: Any, rtol: Any) -> Period:
-    chain, state, period = as_orbit(chain, state, period)
-    state = check_orbit(chain, state, period, rtol)
-    require_smoothed(chain, "use `find_limit_cycle` or `monodromy_matrix`, or ")
+def _period(model: Any, state: Any, period: Any, rtol: Any) -> Period:
+    model, state, period = as_orbit(model, state, period)
+    state = check_orbit(model, state, period, rtol)
+    require_smoothed(model, "use `find_limit_cycle` or `monodromy_matrix`, or ")
     given = 1e-9 if is_traced(rtol) else float(rtol)
-    solver = fit_linear_solve(Rodas5P(), chain, given, state=state)
-    return _linearised(chain, state, to_float(period), to_float(rtol), solver)
+    solver = fit_linear_solve(Rodas5P(), model, given, state=state)
+    return _linearised(model, state, to_float(period), to_float(rtol), solver)
 
 
 @eqx.filter_jit
-def _linearised(chain: Any, state: State, period: Array, rtol: Array, solver: Any) -> Period:
+def _linearised(model: Any, state: State, period: Array, rtol: Array, solver: Any) -> Period:
     def make(y: Array) -> tuple[AbstractModel, State, Array]:
-        return chain, tuple(jnp.split(y, len(state))), period
+        return model, tuple(jnp.split(y, len(state))), period
 
     return linearised_period(make, jnp.concatenate(state), rtol=rtol, solver=solver)
 
 
-def check_orbit(chain: Any, state: Any, period: Any, rtol: Any, name: str = "state") -> State:
+def check_orbit(model: Any, state: Any, period: Any, rtol: Any, name: str = "state") -> State:
     """The state as arrays, or `ValueError`."""
-    as_chain(chain, AbstractModel)
-    parts = as_state(chain, state, name)
+    as_model(model)
+    parts = as_state(model, state, name)
     check_positive_number("period", period, "about 2 pi is usual.")
     check_tolerances(rtol, None, MAX_STEP)
-    check_force(chain, parts)
+    check_force(model, parts)
     return parts
 
 
-def check_force(chain: AbstractModel, state: State) -> None:
+def check_force(model: AbstractModel, state: State) -> None:
     """Raises `ValueError` unless the rate is periodic in time, as `forcing_period` says."""
-    forced = chain.forcing_period()
+    forced = model.forcing_period()
     if forced is None:
-        check_autonomous(chain, state)
+        check_autonomous(model, state)
         return
     check_positive_number("forcing_period()", forced, "it is that of what depends on time.")
-    if is_traced(chain, forced, state):
+    if is_traced(model, forced, state):
         return
     for share in (0.0, 0.3, 0.7):
-        now, later = (jnp.stack(chain(t * forced, state)) for t in (share, share + 1.0))
+        now, later = (jnp.stack(model(t * forced, state)) for t in (share, share + 1.0))
         size = jnp.max(jnp.abs(now)) + jnp.max(jnp.abs(later))
         if bool(jnp.max(jnp.abs(now - later)) > 1e-9 * size):
             raise ValueError(
-                f"The method `forcing_period` of {type(chain).__name__} returns "
+                f"The method `forcing_period` of {type(model).__name__} returns "
                 f"{float(forced):.9g}, but the rate at a time and a period later differ: give "
                 "the period of the force."
             )
 
 
-def turns_of(chain: AbstractModel, period: Any) -> int | None:
+def turns_of(model: AbstractModel, period: Any) -> int | None:
     """The period in periods of the force, or `ValueError`; None where nothing depends on time."""
-    forced = chain.forcing_period()
+    forced = model.forcing_period()
     if forced is None:
         return None
     if is_traced(period, forced):

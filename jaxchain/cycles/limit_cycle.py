@@ -40,7 +40,7 @@ from .._final import final
 from .._types import State
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
-from ..model.arguments import as_chain, as_mass, as_state
+from ..model.arguments import as_chain, as_mass, as_model, as_state
 from ..model.cells import AbstractCells
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site, release_state
@@ -92,43 +92,43 @@ _MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the for
 _ROUNDING = 1e-9  # of the number of periods in a run
 
 
-def watched(chain: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
+def watched(model: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
     """The maxima of a run whose sticking masses have small errors in units of the width."""
     rtol: Any = 1e-8
-    if not chain.dry and (layer := chain.layer(0.0, state)) is not None:
+    if not model.dry and (layer := model.layer(0.0, state)) is not None:
         rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(layer[1])), 1e-11, 1e-7)
-    solver = _solver_of(chain, state)
+    solver = _solver_of(model, state)
     most = None
-    if chain.dry and not is_traced(t1):
+    if model.dry and not is_traced(t1):
         most = max(_GUESS_STEPS, int(_STEPS_PER_TIME * float(t1)))
         most += 10 * _STEPS_PER_MASS * state[0].size
     how: Any = {"solver": solver, "rtol": rtol, "max_steps": most, "throw": False}
-    run = simulate(chain, state, t1, observe=watch, **how)
+    run = simulate(model, state, t1, observe=watch, **how)
     return lax.stop_gradient(run.observed)
 
 
-def _solver_of(chain: AbstractModel, state: State) -> Any:
+def _solver_of(model: AbstractModel, state: State) -> Any:
     """The solver of a run that looks for a guess."""
-    return custom_solver(chain, None) or choose_solver(chain, 1e-8, state=state)
+    return custom_solver(model, None) or choose_solver(model, 1e-8, state=state)
 
 
-def most_lively(chain: AbstractModel, state: State) -> int:
+def most_lively(model: AbstractModel, state: State) -> int:
     """The mass farthest from sliding, which is assumed to vibrate; n // 2 if traced."""
-    if is_traced(chain, state):
+    if is_traced(model, state):
         return reference_site(state[0].shape[0])
-    rest = chain.equilibrium() or (0.0,) * len(state)
+    rest = model.equilibrium() or (0.0,) * len(state)
     apart = [(part - still) ** 2 for part, still in zip(state, rest, strict=True)]
     return int(jnp.argmax(sum(apart)))
 
 
-def _cut_at(chain: AbstractModel, state: State, mass: Any) -> int:
+def _cut_at(model: AbstractModel, state: State, mass: Any) -> int:
     if mass is None:
-        return most_lively(chain, state)
+        return most_lively(model, state)
     return as_mass(state[0].shape[0], mass)
 
 
 def guess_from_simulation(
-    chain: AbstractModel,
+    model: AbstractModel,
     state: State,
     mass: int | None = None,
     *,
@@ -154,14 +154,14 @@ def guess_from_simulation(
     >>> round(float(period), 2)
     6.3
     """
-    as_chain(chain, AbstractModel)
-    state = as_state(chain, state, "state")
+    as_model(model)
+    state = as_state(model, state, "state")
     check_number("transient", transient, "200 is usual.")
     check_nonnegative("transient", transient, "200 is usual.")
     check_positive_number("duration", duration, "40 is some six periods.")
-    mass = _cut_at(chain, state, mass)
+    mass = _cut_at(model, state, mass)
     watch = Section(mass, _PEAKS, transient, of="velocity")
-    return _last_turn(*watched(chain, state, transient + duration, watch))
+    return _last_turn(*watched(model, state, transient + duration, watch))
 
 
 @eqx.filter_jit
@@ -178,43 +178,43 @@ def _last_turn(times: Array, *parts: Array) -> Guess:
     return tuple(part[last] for part in parts), period
 
 
-def _forced_guess(chain: AbstractModel, state: State, transient: float) -> Guess:
+def _forced_guess(model: AbstractModel, state: State, transient: float) -> Guess:
     """The state at the end of so many periods of the force, and after how many it comes back."""
-    forced = to_float(chain.forcing_period())
+    forced = to_float(model.forcing_period())
     turns = max(2 * _MOST_TURNS, math.ceil(transient / float(forced)))
     times = forced * jnp.arange(turns - _MOST_TURNS, turns + 1)
-    how: Any = {"solver": _solver_of(chain, state), "rtol": 1e-8, "throw": False}
-    run = simulate(chain, state, times[-1], observe=Trajectory(times), **how)
+    how: Any = {"solver": _solver_of(model, state), "rtol": 1e-8, "throw": False}
+    run = simulate(model, state, times[-1], observe=Trajectory(times), **how)
     return _last_turn(times, *lax.stop_gradient(run.observed))
 
 
-def _at_phase_0(chain: AbstractModel, run: Simulation) -> State:
+def _at_phase_0(model: AbstractModel, run: Simulation) -> State:
     """The state at the end of a run, or at the next multiple of the period of the force."""
-    forced = to_float(chain.forcing_period())
+    forced = to_float(model.forcing_period())
     turns = jnp.ceil(run.t / forced - _ROUNDING)
     t1 = jnp.maximum(turns * forced, run.t)
-    solver = _solver_of(chain, run.state)
-    more = simulate(chain, run.state, t1, t0=run.t, solver=solver, rtol=1e-8, throw=False)
+    solver = _solver_of(model, run.state)
+    more = simulate(model, run.state, t1, t0=run.t, solver=solver, rtol=1e-8, throw=False)
     return lax.stop_gradient(more.state)
 
 
-def guess_from_point(chain: AbstractModel, state: State, period: Any, mass: int) -> State:
+def guess_from_point(model: AbstractModel, state: State, period: Any, mass: int) -> State:
     """The point of an orbit of known period at which mass `mass` is fastest along the belt.
 
     Nothing is integrated if `state` is such a point; NaN if there is none.
     """
-    if not is_traced(chain, state):
-        along = chain.belt_direction()
-        acceleration = chain.second_rate(0.0, state)[mass]
-        velocity = along * chain.value_and_rate(0.0, state)[1][mass]
+    if not is_traced(model, state):
+        along = model.belt_direction()
+        acceleration = model.second_rate(0.0, state)[mass]
+        velocity = along * model.value_and_rate(0.0, state)[1][mass]
         # The acceleration of a sticking mass is small, but greater than this.
         if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
             return state
     # A little more than a period, for an orbit that begins at the maximum.
     watch = Section(mass, _PEAKS, of="velocity")
-    _, *parts = watched(chain, state, 1.05 * to_float(period), watch)
-    velocities = jax.vmap(lambda *state: chain.value_and_rate(0.0, state)[1][mass])(*parts)
-    speeds = chain.belt_direction() * velocities
+    _, *parts = watched(model, state, 1.05 * to_float(period), watch)
+    velocities = jax.vmap(lambda *state: model.value_and_rate(0.0, state)[1][mass])(*parts)
+    speeds = model.belt_direction() * velocities
     fastest = jnp.argmax(jnp.where(jnp.isnan(speeds), -jnp.inf, speeds))
     return tuple(part[fastest] for part in parts)
 
@@ -358,14 +358,14 @@ def _cycle(
 
 @eqx.filter_jit
 def with_derivatives(
-    equations: Any, chain: AbstractModel, cycle: LimitCycle, u: Array
+    equations: Any, model: AbstractModel, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
-    """`cycle` with its derivatives in the numbers of `chain`."""
-    equations = eqx.tree_at(lambda eqs: eqs.field, equations, chain)
+    """`cycle` with its derivatives in the numbers of `model`."""
+    equations = eqx.tree_at(lambda eqs: eqs.field, equations, model)
     unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), equations)
     _, state, period = equations.unpack(unknowns[: u.size])
     amplitude = unknowns[u.size :]
-    return replace(cycle, chain=chain, state=state, period=period, amplitude=amplitude)
+    return replace(cycle, chain=model, state=state, period=period, amplitude=amplitude)
 
 
 def _residual(unknowns: Float[Array, " m"], equations: Any) -> Float[Array, " m"]:
@@ -412,7 +412,7 @@ class RefinedOrbit(NamedTuple):
 
 
 def refine_orbit(
-    chain: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9,
+    model: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9,
     scale: Any = 1.0,
 ) -> RefinedOrbit:  # fmt: skip
     """The periodic orbit near a state that nearly returns after `period`, by Newton's method.
@@ -427,7 +427,7 @@ def refine_orbit(
     number of the state or of all.  The period of a forced orbit, whose `state` is
     that at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
     """
-    equations = _States(chain, rtol, custom_solver(chain, solver), len(state), state[0].size)
+    equations = _States(model, rtol, custom_solver(model, solver), len(state), state[0].size)
     return _close(equations, state, to_float(period), to_float(scale))[0]
 
 
@@ -549,13 +549,13 @@ def _close(
     return orbit, best.aux.returned, best.evaluations
 
 
-def _free_phases(chain: Any, state: State, monodromy: Array, f: Array) -> Array:
+def _free_phases(model: Any, state: State, monodromy: Array, f: Array) -> Array:
     """sum_n f_n f_n^T / |f_n|^2, f_n the part of f of mass n, if masses are not coupled, else 0.
 
     Their phases are free, M f_n = f_n for each mass: without this term M - 1 is singular.
     """
     m, n = len(state), state[0].shape[0]
-    if n == 1 or not chain.structured:
+    if n == 1 or not model.structured:
         return jnp.zeros(())
     apart = jnp.all((monodromy == 0) | (jnp.tile(jnp.eye(n), (m, m)) > 0))
     parts = jnp.concatenate([jnp.diag(part) for part in jnp.split(f, m)])  # column n is f_n
@@ -628,11 +628,11 @@ class _Cuts(AbstractSection):
         return last
 
 
-def _slipping(chain: Any, t: Any, y: State) -> Float[Array, " n"]:
+def _slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
     """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
-    mu = chain.law.coefficient(jnp.abs(y[chain.contact] - chain.belt_speed))
-    free, backward = chain.accelerations(t, y), -chain.belt_direction()
-    return rates(chain, free, mu, backward)[chain.contact - len(free)]
+    mu = model.law.coefficient(jnp.abs(y[model.contact] - model.belt_speed))
+    free, backward = model.accelerations(t, y), -model.belt_direction()
+    return rates(model, free, mu, backward)[model.contact - len(free)]
 
 
 @eqx.filter_jit
@@ -742,7 +742,7 @@ def _follow(
 
 
 def find_limit_cycle(
-    chain: Any,
+    model: Any,
     guess: Any = None,
     *,
     period: Any = None,
@@ -765,7 +765,7 @@ def find_limit_cycle(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, or with a guess `AbstractOscillators` or `AbstractCells`, of which
+    - `model`: a `Chain`, or with a guess `AbstractOscillators` or `AbstractCells`, of which
       `MechanicalCells` may have dry friction.
     - `guess`: of forced cells (see `AbstractCells.forcing_period`) a state at t = 0; `period` is a
       multiple of that of the force, up to 16 times, and found by a simulation if it is not given.
@@ -804,13 +804,13 @@ def find_limit_cycle(
         >>> slipping.stable, bool(slipping.scaled_peak_velocity[0] < 0)
         (False, True)
     """
-    as_chain(chain, AbstractModel)
+    as_model(model)
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
-    frozen = lax.stop_gradient(chain)
-    if chain.n is not None and (m := len(chain.variables)):  # before anything long starts
-        as_symmetry(images, frozen, (jnp.zeros(chain.n),) * m)
+    frozen = lax.stop_gradient(model)
+    if model.n is not None and (m := len(model.variables)):  # before anything long starts
+        as_symmetry(images, frozen, (jnp.zeros(model.n),) * m)
     mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
     images, shift = as_symmetry(images, frozen, state, mass)
 
@@ -820,7 +820,7 @@ def find_limit_cycle(
     m, n, forced = len(state), state[0].shape[0], frozen.forcing_period() is not None
     turns = guess.turns if forced and isinstance(guess, LimitCycle) else None
     turns = turns_of(frozen, period) if turns is None else turns
-    if chain.dry:
+    if model.dry:
         solve = dry_cycle
         equations = _States(frozen, to_float(rtol), EventDriven(), m, n, mass, turns)
     else:
@@ -846,7 +846,7 @@ def find_limit_cycle(
             if nearer is not None:
                 cycle, u = solve_cycle(equations, *nearer, *numbers)
     if not failed(cycle) or not throw:
-        cycle = with_derivatives(equations, chain, cycle, u)
+        cycle = with_derivatives(equations, model, cycle, u)
     if throw and failed(cycle):
         raise RuntimeError(
             _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
@@ -855,12 +855,14 @@ def find_limit_cycle(
 
 
 def resolve_guess(
-    chain: AbstractModel, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
+    model: AbstractModel, guess: Any, period: Any, mass: Any, branch: Any, throw: bool
 ) -> tuple[int, State, Array]:
     """(mass, state on the section, period) from a guess of any kind."""
     check_one_of("branch", branch, ("stable", "unstable"))
     if guess is None:
-        one = as_chain(chain, remedy="of any other model, give a state as `guess`, too.")
+        one = as_chain(
+            model, remedy="of any other model, give a state as `guess`, too.", name="model"
+        )
         if period is not None:
             raise ValueError(
                 f"Argument `period` is {shown(period)}, but there is no `guess` with this period: "
@@ -869,33 +871,33 @@ def resolve_guess(
         mass = as_mass(one.n, mass, reference_site(one.n))
         return mass, *guess_of_kind(one, mass, branch)
     if isinstance(guess, LimitCycle):
-        check_orbit(chain, guess.state, guess.period, CYCLE_RTOL)
+        check_orbit(model, guess.state, guess.period, CYCLE_RTOL)
         mass = as_mass(guess.state[0].shape[0], mass, guess.mass)
-        state, period = carried(guess.state, guess.chain, chain), guess.period
-        if guess.turns is not None and chain.forcing_period() is not None:
-            period = guess.turns * to_float(chain.forcing_period())
+        state, period = carried(guess.state, guess.chain, model), guess.period
+        if guess.turns is not None and model.forcing_period() is not None:
+            period = guess.turns * to_float(model.forcing_period())
     else:
         transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
         if isinstance(guess, Simulation):
-            forced = chain.forcing_period() is not None
-            guess = _at_phase_0(chain, guess) if forced else guess.state
+            forced = model.forcing_period() is not None
+            guess = _at_phase_0(model, guess) if forced else guess.state
         pair = isinstance(guess, tuple | list) and len(guess) == 2
         if pair and isinstance(guess[0], tuple | list):
             guess, period = guess
-        state = check_orbit(chain, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
-        mass = _cut_at(chain, state, mass)
-        if chain.forcing_period() is not None:
+        state = check_orbit(model, guess, 1.0 if period is None else period, CYCLE_RTOL, "guess")
+        mass = _cut_at(model, state, mass)
+        if model.forcing_period() is not None:
             if period is None:
-                state, period = _forced_guess(chain, state, transient)
-            turns_of(chain, period)
+                state, period = _forced_guess(model, state, transient)
+            turns_of(model, period)
             period = to_float(period)
         elif period is None:
-            state, period = guess_from_simulation(chain, state, mass, transient=transient)
-            if isinstance(chain, AbstractCells) and not chain.dry:
-                state = guess_from_point(chain, state, period, mass)  # not at a lesser maximum
+            state, period = guess_from_simulation(model, state, mass, transient=transient)
+            if isinstance(model, AbstractCells) and not model.dry:
+                state = guess_from_point(model, state, period, mass)  # not at a lesser maximum
         else:
-            cut, period = guess_from_point(chain, state, period, mass), to_float(period)
-            found = jnp.isfinite(jnp.sum(cut[-1])) | (not chain.dry)  # which needs no cut
+            cut, period = guess_from_point(model, state, period, mass), to_float(period)
+            found = jnp.isfinite(jnp.sum(cut[-1])) | (not model.dry)  # which needs no cut
             state = tuple(jnp.where(found, a, b) for a, b in zip(cut, state, strict=True))
     vibrates = is_traced(state, period) or bool(jnp.isfinite(jnp.sum(state[1]) + period))
     if throw and not vibrates:
@@ -906,8 +908,8 @@ def resolve_guess(
     return mass, state, period
 
 
-def _missing(chain: Any, kind: str, reason: str = "") -> str:
-    if damping_outweighs(chain):
+def _missing(model: Any, kind: str, reason: str = "") -> str:
+    if damping_outweighs(model):
         return (
             "There is no limit cycle: damping outweighs the weakening of friction at every speed, "
             "2 xi_n > p_n F'(w), so all motions approach steady sliding."

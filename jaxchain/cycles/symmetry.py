@@ -102,7 +102,7 @@ Elements = dict[tuple[int, ...], Fraction]
 
 
 def cycle_symmetry(
-    chain: Any, state: Any = None, period: Any = None, *, tolerance: Any = 1e-6
+    model: Any, state: Any = None, period: Any = None, *, tolerance: Any = 1e-6
 ) -> CycleSymmetry:
     """The rotations and reflections of a ring that leave a cycle unchanged, also up to a shift.
 
@@ -128,14 +128,14 @@ def cycle_symmetry(
         >>> cycle_symmetry(find_limit_cycle(ring, (start, alone.period))).label
         'D4, T/2'
     """
-    chain, state, period = as_orbit(chain, state, period)
-    check_concrete("call it outside `jit`.", chain=chain, state=state, period=period)
-    state = check_orbit(chain, state, period, CYCLE_RTOL)
+    model, state, period = as_orbit(model, state, period)
+    check_concrete("call it outside `jit`.", model=model, state=state, period=period)
+    state = check_orbit(model, state, period, CYCLE_RTOL)
     check_positive_number("tolerance", tolerance, "1e-6 is usual.")
-    n, forced = state[0].size, chain.forcing_period() is not None
-    motions, k = ring_motions(chain, state), 1 if forced else int(np.lcm(n, 2))
+    n, forced = state[0].size, model.forcing_period() is not None
+    motions, k = ring_motions(model, state), 1 if forced else int(np.lcm(n, 2))
     times = float(period) * np.arange(k + 1) / k
-    run = simulate(chain, state, times[-1], observe=Trajectory(times), rtol=1e-9)
+    run = simulate(model, state, times[-1], observe=Trajectory(times), rtol=1e-9)
     orbit = np.stack(run.observed)  # (m, k + 1, n)
     size = np.max(np.ptp(orbit, axis=1)) or 1.0
     found: Elements = {}
@@ -148,7 +148,7 @@ def cycle_symmetry(
 
 
 def as_symmetry(
-    images: Any, chain: AbstractModel, state: State, mass: int | None = None
+    images: Any, model: AbstractModel, state: State, mass: int | None = None
 ) -> Symmetry:
     """(`images`, `shift`) from `images` or a `CycleSymmetry`, with `mass` solved for."""
     n = state[0].shape[0]
@@ -160,13 +160,13 @@ def as_symmetry(
     if shift is None:
         return same, None
     motion, k = shift
-    if chain.forcing_period() is not None:
+    if model.forcing_period() is not None:
         raise ValueError(
             f"Argument `images` has the shift {shown(shift)}, but the cells are forced: a force "
             "that acts on all of them has no symmetry under a shift of time."
         )
-    traced = is_traced(chain, state)
-    every = [] if traced else [tuple(at.tolist()) for at in ring_motions(chain, state)]
+    traced = is_traced(model, state)
+    every = [] if traced else [tuple(at.tolist()) for at in ring_motions(model, state)]
     whole = isinstance(k, int) and k > 1 and (traced or tuple(motion) in every)
     if not whole or not _fits(same, (tuple(motion), k)):
         raise ValueError(

@@ -27,20 +27,25 @@ _STATES = "see `excited_state` for initial states."
 _Kind = TypeVar("_Kind", bound=AbstractModel)
 
 
-def as_chain(
-    chain: Any, kind: type[_Kind] = Chain, remedy: str = "", name: str = "chain"
+def as_model(
+    model: Any, kind: type[_Kind] = AbstractModel, remedy: str = "", name: str = "model"
 ) -> _Kind:
-    """The chain, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
+    """The model, or `ValueError` unless it is of this kind and made of 64-bit numbers."""
     require_x64()
     others = {Chain: "", AbstractOscillators: " or other `AbstractOscillators`"}
     other = others.get(kind, ", or other `AbstractOscillators` or `AbstractCells`")
-    check_kind(name, chain, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
-    require_64_bits(name, chain)
-    return chain
+    check_kind(name, model, kind, f"a `Chain`{other}", remedy or MAKE_CHAIN)
+    require_64_bits(name, model)
+    return model
+
+
+def as_chain(chain: Any, remedy: str = "", name: str = "chain") -> Chain:
+    """The chain, or `ValueError` for anything else."""
+    return as_model(chain, Chain, remedy, name)
 
 
 def as_state(
-    chain: AbstractModel,
+    model: AbstractModel,
     state: Any,
     name: str = "initial",
     *,
@@ -55,14 +60,14 @@ def as_state(
     **Raises:** `ValueError` for anything else, for numbers that are not finite, and for a model
     whose forces are not local there at the time `t0`.
     """
-    names = [variable.name for variable in chain.variables]
-    wanted, n = chain.state_in_words, chain.n
+    names = [variable.name for variable in model.variables]
+    wanted, n = model.state_in_words, model.n
     size = "(n,)" if n is None else f"({n},)"
     several = isinstance(state, tuple | list) and len(state) > 0
     if not several or (names and len(state) != len(names)):
         raise ValueError(
             f"Argument `{name}` must be {wanted}, one array of shape {size} for each variable of "
-            f"`{type(chain).__name__}`, but is {shown(state)}: {_STATES}"
+            f"`{type(model).__name__}`, but is {shown(state)}: {_STATES}"
         )
     labels = [f"{name}[{k}]" for k in range(len(state))]
     if names:
@@ -83,7 +88,7 @@ def as_state(
     for part, label in zip(parts, labels, strict=True):
         check_finite(label, part, _STATES)
     if not batch:
-        chain.check_locality(t0, parts)
+        model.check_locality(t0, parts)
     return parts
 
 

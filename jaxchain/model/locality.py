@@ -181,7 +181,7 @@ def check_autonomous(field: Any, state: Any) -> None:
     """Raises `ValueError` if the vector field depends on time."""
     if depends_on_time(field, state):
         raise ValueError(
-            f"Argument `chain` is a {type(field).__name__} whose forces depend on time, so it has "
+            f"Argument `model` is a {type(field).__name__} whose forces depend on time, so it has "
             "no cycle of its own period: this needs an autonomous system. Define the method "
             "`forcing_period`, or use `simulate` over periods of the drive."
         )

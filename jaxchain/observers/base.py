@@ -339,7 +339,7 @@ class Variable(eqx.Module):
         ...         return jnp.maximum(accumulator, (step.y1[1] == step.field.belt_speed).sum())
         ...     def read(self, accumulator):
         ...         return accumulator
-        ...     def label(self, value, chain):
+        ...     def label(self, value, model):
         ...         most = Variable(value, long_name="most masses that stuck", is_count=True)
         ...         return {"stuck": most}
         >>> chain = paper_chain(3, belt_speed=1.0, width=None)
@@ -429,7 +429,7 @@ class AbstractObserver(eqx.Module):
         ...         return accumulator + jnp.where(faster, step.t1 - step.t0, 0.0)
         ...     def read(self, accumulator):
         ...         return accumulator
-        ...     def label(self, value, chain):
+        ...     def label(self, value, model):
         ...         time = Variable(value, ("oscillator",), "1 / omega_n", "time before the belt")
         ...         return {"overtaking_time": time}
         >>> chain = paper_chain(3, belt_speed=1.0, width=1e-2)

@@ -32,7 +32,7 @@ from .._checks import (
 )
 from .._spelling import did_you_mean
 from ..cycles.limit_cycle import most_lively
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_chain, as_model, as_state
 from ..model.chain import Chain
 from ..model.model import AbstractModel, StateVariable
 from ..model.parameters import SPEED
@@ -71,7 +71,7 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 def plot_time_series(
     times: Any,
     states: Any,
-    chain: AbstractModel | None = None,
+    model: AbstractModel | None = None,
     *,
     y: str | int = 0,
     masses: Any = None,
@@ -87,7 +87,7 @@ def plot_time_series(
     - `times`: shape (times,), dimensionless, increasing.
     - `states`: (x, v), each of shape (times, n), or a `Simulation` that observed
       `Trajectory(times)`; of cells all m arrays.
-    - `chain`: adds a broad band behind a line where its mass sticks, and the belt speed to
+    - `model`: adds a broad band behind a line where its mass sticks, and the belt speed to
       velocities.  Of `AbstractCells` it gives the names of the components.
     - `y`: "displacement" or "velocity"; of cells the name of a component.  Or its number, from 0.
     - `masses`: indices of the masses to draw; by default all.  More than seven have a colour bar.
@@ -110,17 +110,17 @@ def plot_time_series(
     """
     times = _checked_times(times)
     states = _checked_states(states, len(times))
-    (part, up, y_label), (across, x_label) = _named(states, chain, scales, y=y)
-    picked, stuck = _checked(states, masses, chain)
+    (part, up, y_label), (across, x_label) = _named(states, model, scales, y=y)
+    picked, stuck = _checked(states, masses, model)
     lines = np.broadcast_to(across * times[:, None], part.shape), up * part
-    belt = _belt(chain, states, part, up)
+    belt = _belt(model, states, part, up)
     return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
 def plot_phase_portrait(
     times: Any,
     states: Any,
-    chain: AbstractModel | None = None,
+    model: AbstractModel | None = None,
     *,
     x: str | int = 0,
     y: str | int = 1,
@@ -132,7 +132,7 @@ def plot_phase_portrait(
 ) -> Axes:
     """Draws velocity over displacement of masses, or two other components of cells.
 
-    **Arguments:** as for `plot_time_series`; `x`, `y`, the components; `chain` adds the belt
+    **Arguments:** as for `plot_time_series`; `x`, `y`, the components; `model` adds the belt
     speed, and a broad band where a mass sticks.  `times` only say how many states there are.
 
     **Returns:** the axes.
@@ -151,16 +151,16 @@ def plot_phase_portrait(
     """
     times = _checked_times(times)
     states = _checked_states(states, len(times))
-    (over, across, x_label), (part, up, y_label), _ = _named(states, chain, scales, x=x, y=y)
-    picked, stuck = _checked(states, masses, chain)
-    lines, belt = (across * over, up * part), _belt(chain, states, part, up)
+    (over, across, x_label), (part, up, y_label), _ = _named(states, model, scales, x=x, y=y)
+    picked, stuck = _checked(states, masses, model)
+    lines, belt = (across * over, up * part), _belt(model, states, part, up)
     return _draw_curves(ax, lines, (x_label, y_label), picked, stuck, belt, color, label)
 
 
 def plot_space_time(
     times: Any,
     states: Any,
-    chain: AbstractModel | None = None,
+    model: AbstractModel | None = None,
     *,
     y: str | int = 0,
     ax: Axes | None = None,
@@ -185,7 +185,7 @@ def plot_space_time(
     """
     times = _checked_times(times)
     states = _checked_states(states, len(times))
-    (part, up, label), (across, x_label) = _named(states, chain, scales, y=y)
+    (part, up, label), (across, x_label) = _named(states, model, scales, y=y)
     with on_axes(ax) as axes:
         mesh = axes.pcolormesh(
             across * times, np.arange(1, part.shape[1] + 1), up * part.T, rasterized=True
@@ -196,17 +196,17 @@ def plot_space_time(
     return axes
 
 
-def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any) -> list[Any]:
+def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **asked: Any) -> list[Any]:
     """(values, factor, label) of each component asked for, and (factor, label) of time."""
     check_scales(scales)
-    if chain is not None:
-        chain = as_chain(chain, AbstractModel)
-    known = [] if chain is None else chain.variables
-    if chain is None and len(states) == 2:  # of a chain
+    if model is not None:
+        model = as_model(model)
+    known = [] if model is None else model.variables
+    if model is None and len(states) == 2:  # of a chain
         known = [StateVariable(name, unit) for name, unit in _UNITS.items()]
     if len(known or states) != len(states):
         raise ValueError(
-            f"Argument `states` has {len(states)} parts, but a cell of `{type(chain).__name__}` "
+            f"Argument `states` has {len(states)} parts, but a cell of `{type(model).__name__}` "
             f"has the {len(known)} components {', '.join(part.name for part in known)}."
         )
     if scales is not None and not (known and known[0].unit != "1"):
@@ -231,20 +231,20 @@ def _named(states: tuple[np.ndarray, ...], chain: Any, scales: Any, **asked: Any
     return [*drawn, axis("time", timed, scales)]
 
 
-def _belt(chain: Any, states: tuple[np.ndarray, ...], part: Any, factor: float) -> float | None:
+def _belt(model: Any, states: tuple[np.ndarray, ...], part: Any, factor: float) -> float | None:
     """The belt speed in a picture of the velocity of a contact."""
-    if chain is None or not chain.frictional or part is not states[chain.contact]:
+    if model is None or not model.frictional or part is not states[model.contact]:
         return None
-    return factor * float(chain.belt_speed)
+    return factor * float(model.belt_speed)
 
 
 def _checked(
-    states: tuple[np.ndarray, ...], masses: Any, chain: Any
+    states: tuple[np.ndarray, ...], masses: Any, model: Any
 ) -> tuple[list[int], np.ndarray | None]:
     """The masses to draw, and the times at which each mass sticks, if known."""
     n = states[0].shape[1]
     picked = [*range(n)] if masses is None else picked_masses(n, masses)
-    return picked, _sticks(chain, states)
+    return picked, _sticks(model, states)
 
 
 def _draw_curves(
@@ -283,15 +283,15 @@ def _draw_curves(
     return axes
 
 
-def sticking(chain: AbstractModel, states: Any) -> np.ndarray:
+def sticking(model: AbstractModel, states: Any) -> np.ndarray:
     """Which masses stick at each time, of shape (times, n).
 
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
     the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
     For states of a smoothed chain from `EventDriven`, use `chain.with_(width=None)`.
 
-    **Arguments:** `chain`, or `MechanicalCells` with friction; `states`, (x, v), of cells all m
-    arrays, each of shape (times, n).
+    **Arguments:** `model`: a `Chain`, or `MechanicalCells` with friction; `states`, (x, v), of
+    cells all m arrays, each of shape (times, n).
 
     **Returns:** booleans of that shape.
 
@@ -308,13 +308,13 @@ def sticking(chain: AbstractModel, states: Any) -> np.ndarray:
         >>> sticks.shape, round(float(sticks.mean()), 2)  # the share of the time
         ((101, 1), 0.16)
     """
-    model: Any = as_chain(chain, AbstractModel)
-    if model.stick_speed() is None:
+    known: Any = as_model(model)
+    if known.stick_speed() is None:
         raise ValueError(
-            f"Argument `chain` is a {type(chain).__name__}, whose masses cannot stick: give a "
+            f"Argument `model` is a {type(model).__name__}, whose masses cannot stick: give a "
             "`Chain`, or `MechanicalCells` with friction."
         )
-    m = len(chain.variables)
+    m = len(model.variables)
     if not isinstance(states, tuple | list) or len(states) != m:
         raise ValueError(
             f"Argument `states` must be a tuple of {m} arrays, (x, v) of a chain, but is "
@@ -322,34 +322,34 @@ def sticking(chain: AbstractModel, states: Any) -> np.ndarray:
         )
     parts = tuple(as_array("states", part, 2, 2, "those of some times.") for part in states)
     shapes = {part.shape for part in parts}
-    if len(shapes) > 1 or parts[0].shape[1] != (chain.n or parts[0].shape[1]):
+    if len(shapes) > 1 or parts[0].shape[1] != (model.n or parts[0].shape[1]):
         raise ValueError(
             f"Argument `states` has parts of shapes {' and '.join(str(a.shape) for a in parts)}, "
-            f"but all must have one shape, (times, {chain.n or 'n'})."
+            f"but all must have one shape, (times, {model.n or 'n'})."
         )
-    rounding = RESOLUTION * (1.0 + jnp.abs(model.belt_speed)) if model.dry else 0.0
-    limit = model.stick_speed() + rounding
+    rounding = RESOLUTION * (1.0 + jnp.abs(known.belt_speed)) if known.dry else 0.0
+    limit = known.stick_speed() + rounding
 
     @eqx.filter_jit
     def held(state: Any) -> Any:
-        layer: Any = chain.layer(0.0, state)
-        left, right = chain.neighbours(state)
-        excess = chain.excess_force(0.0, left, state, right)
+        layer: Any = model.layer(0.0, state)
+        left, right = model.neighbours(state)
+        excess = model.excess_force(0.0, left, state, right)
         return (jnp.abs(layer[0]) <= limit) & (excess <= 0)
 
     return np.asarray(jax.vmap(held)(parts))
 
 
-def _sticks(chain: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
+def _sticks(model: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
     """`sticking`, or None where it is not known."""
-    if chain is None or chain.stick_speed() is None:
+    if model is None or model.stick_speed() is None:
         return None
     # The force that holds a contact under forcing depends on the time of a state.
-    return sticking(chain, states) if chain.dry or chain.forcing_period() is None else None
+    return sticking(model, states) if model.dry or model.forcing_period() is None else None
 
 
 def loop(
-    chain: Any,
+    model: Any,
     state: Any,
     *,
     frames: Any = 60,
@@ -379,13 +379,13 @@ def loop(
     save_gif(animate(times, states, chain), "chain.gif")
     ```
     """
-    as_chain(chain)
+    as_chain(model, name="model")
     check_whole("frames", frames, 1, MOST_FRAMES, "60 are usual.")
     check_positive_number("longest", longest, "100 is some sixteen periods.")
     check_positive_number("tolerance", tolerance, "1e-2 cannot be seen.")
-    state, solver = as_state(chain, state, "state"), custom_solver(chain, solver)
-    turns = Section(most_lively(chain, state), capacity=256)
-    run = simulate(chain, state, longest, observe=turns, solver=solver)
+    state, solver = as_state(model, state, "state"), custom_solver(model, solver)
+    turns = Section(most_lively(model, state), capacity=256)
+    run = simulate(model, state, longest, observe=turns, solver=solver)
     at, x, v = (np.asarray(part) for part in run.observed)
     if np.count_nonzero(np.isfinite(at)) < 2:
         raise RuntimeError(
@@ -404,14 +404,14 @@ def loop(
     period = float(at[back] - at[0])
     times = period * np.arange(frames) / frames
     begin = (jnp.asarray(x[0]), jnp.asarray(v[0]))
-    film = simulate(chain, begin, period, observe=Trajectory(times), solver=solver)
+    film = simulate(model, begin, period, observe=Trajectory(times), solver=solver)
     return times, (np.asarray(film.observed[0]), np.asarray(film.observed[1]))
 
 
 def animate(
     times: Any,
     states: Any,
-    chain: Any,
+    model: Any,
     *,
     masses: Any = None,
     frames_per_second: Any = 20,
@@ -426,7 +426,7 @@ def animate(
     - `times`: shape (frames,), dimensionless, increasing; each is one frame.
     - `states`: (x, v), each of shape (frames, n), or a `Simulation` that observed
       `Trajectory(times)`; for films that close see `loop`.
-    - `chain` whose run `times` and `states` are, see `sticking`.
+    - `model` whose run `times` and `states` are, see `sticking`.
     - `masses`: indices of the masses to show; by default up to eight around the one with the
       largest amplitude.
 
@@ -448,14 +448,14 @@ def animate(
         ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).stat().st_size < 30_000)
         True
     """
-    times, states = _checked_film(times, states, chain)
+    times, states = _checked_film(times, states, model)
     check_positive_number("frames_per_second", frames_per_second, "20 is usual.")
-    picked = _livelier(chain, states[0], masses)
+    picked = _livelier(model, states[0], masses)
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
         page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore[reportOptionalMemberAccess, reportCallIssue]
         parts: Any = page.subplot_mosaic("AAA;BBC", height_ratios=(0.9, 1.0))
-        film = _Film(parts["A"], chain, times, states, picked)
+        film = _Film(parts["A"], model, times, states, picked)
         film.add_curves(parts["B"], parts["C"])
         film.explain()
         page.draw_without_rendering()  # settles the layout once
@@ -521,7 +521,7 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
 
 
 def film_strip(
-    times: Any, states: Any, chain: Any, *, stills: Any = 8, masses: Any = None
+    times: Any, states: Any, model: Any, *, stills: Any = 8, masses: Any = None
 ) -> Figure:
     """Stills of `animate` below each other, at equal intervals from the first time.
 
@@ -543,9 +543,9 @@ def film_strip(
         >>> [axes.get_title(loc="right")[-4:] for axes in page.axes]  # the time of each
         ['0.00', '2.00', '4.00']
     """
-    times, states = _checked_film(times, states, chain)
+    times, states = _checked_film(times, states, model)
     check_whole("stills", stills)
-    picked = _livelier(chain, states[0], masses)
+    picked = _livelier(model, states[0], masses)
     if stills > len(times):
         raise ValueError(
             f"Argument `stills` must be at most the number of frames, {len(times)}, but is "
@@ -555,7 +555,7 @@ def film_strip(
         page = Figure(figsize=(PAGE_WIDTH, 0.65 * stills), layout="constrained")
         panels = page.subplots(stills, 1, squeeze=False).ravel()
         for still, axes in enumerate(panels):
-            film = _Film(axes, chain, times, states, picked)
+            film = _Film(axes, model, times, states, picked)
             film.show(still * len(times) // stills)
             if still == 0:
                 film.explain()
@@ -747,11 +747,11 @@ class _Film:
         return [*artists, self.cursor]
 
 
-def _checked_film(times: Any, states: Any, chain: Any) -> tuple[np.ndarray, Any]:
+def _checked_film(times: Any, states: Any, model: Any) -> tuple[np.ndarray, Any]:
     """Times and (x, v) as arrays of fitting shapes, or `ValueError`."""
-    as_chain(chain)
+    as_chain(model, name="model")
     times = _checked_times(times)
-    return times, _checked_states(states, len(times), chain.n)
+    return times, _checked_states(states, len(times), model.n)
 
 
 def _checked_times(times: Any) -> np.ndarray:

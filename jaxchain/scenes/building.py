@@ -279,13 +279,13 @@ def build(
 
 
 def build_solver(
-    name: str, chain: AbstractModel, rtol: float, max_step: float
+    name: str, model: AbstractModel, rtol: float, max_step: float
 ) -> dfx.AbstractSolver | None:
     """A solver by its name in a scene; None leaves the choice to `sweep`."""
     if name == "auto":
         return None
     if name in ("Rodas4", "Rodas5P"):
-        return fit_linear_solve(getattr(solvers, name)(), chain, rtol, max_step)
+        return fit_linear_solve(getattr(solvers, name)(), model, rtol, max_step)
     return getattr(dfx, name)()
 
 
@@ -320,18 +320,18 @@ def checked_chains(
 
 
 def _check(
-    experiment: AnyExperiment, chain: Any, initial: Any, observe: list[AbstractObserver]
+    experiment: AnyExperiment, model: Any, initial: Any, observe: list[AbstractObserver]
 ) -> None:
     numerics, time = experiment.numerics, experiment.time
-    axes = check_axes(chain, initial, experiment.grid())
-    m = len(chain.variables) or len(as_state(chain, initial(chain)))
-    chain.dependence((jnp.zeros(experiment.n),) * m)  # raises for a `rate` that does not fit
+    axes = check_axes(model, initial, experiment.grid())
+    m = len(model.variables) or len(as_state(model, initial(model)))
+    model.dependence((jnp.zeros(experiment.n),) * m)  # raises for a `rate` that does not fit
     size = m, experiment.n
-    check_observers(observe, chain, size, 0.0, time.transient + time.window, None, axes)
+    check_observers(observe, model, size, 0.0, time.transient + time.window, None, axes)
     solver = None
     if numerics.model != "dry":
-        solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
-    scale = chain.smallest_scale(experiment.n)
+        solver = build_solver(numerics.solver, model, numerics.rtol, numerics.max_step)
+    scale = model.smallest_scale(experiment.n)
     if numerics.model != "dry" and scale is not None:
         swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
         scale = swept.get("width", scale[0]), swept.get("belt_speed", scale[1])

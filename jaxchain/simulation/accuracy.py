@@ -12,7 +12,7 @@ from .._checks import check_number, is_traced
 from .._final import final
 from .._limits import LEAST_ACCURACY, MOST_ACCURACY
 from .._printing import PrintedAsCall
-from ..model.arguments import as_chain
+from ..model.arguments import as_model
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
@@ -43,7 +43,7 @@ class Numerics(PrintedAsCall, eqx.Module):
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
 
 
-def choose_numerics(chain: AbstractModel, accuracy: Any) -> Numerics:
+def choose_numerics(model: AbstractModel, accuracy: Any) -> Numerics:
     """The cheapest smoothed computation with an error of at most `accuracy`.
 
     The error is relative to dry friction and to the greatest amplitude of the run.
@@ -93,8 +93,8 @@ def choose_numerics(chain: AbstractModel, accuracy: Any) -> Numerics:
     >>> print(f"width {float(chosen.width):.1e}, rtol {float(chosen.rtol):.1e}, {chosen.solver}")
     width 4.2e-04, rtol 2.8e-05, Rodas4(sweeps=1)
     """
-    _check(chain, accuracy)
-    law, load, speed, unit = cast(tuple, chain.friction_scales())
+    _check(model, accuracy)
+    law, load, speed, unit = cast(tuple, model.friction_scales())
     load = unit * jnp.max(load)  # forces count by the velocities that they give
     zero = jnp.zeros_like(jnp.asarray(law.mu_static, float))
     _, slope = jax.jvp(law.coefficient, (zero,), (jnp.ones_like(zero),))
@@ -112,7 +112,7 @@ def choose_numerics(chain: AbstractModel, accuracy: Any) -> Numerics:
 
     width = lax.fori_loop(0, 30, shorter, jnp.asarray(allowed, float))
     rtol = _RTOL_PER_WIDTH * width / jnp.maximum(jnp.abs(speed), unit)
-    solver = choose_solver(chain, 1e-9 if is_traced(rtol) else float(rtol))
+    solver = choose_solver(model, 1e-9 if is_traced(rtol) else float(rtol))
     return Numerics(*lax.stop_gradient((width, rtol)), solver)
 
 
@@ -128,7 +128,7 @@ def check_accuracy(model: AbstractModel, accuracy: Any, rtol: Any) -> None:
 
 
 def _check(model: AbstractModel, accuracy: Any) -> None:
-    as_chain(model, AbstractModel)
+    as_model(model)
     if model.friction_scales() is None:
         raise ValueError(
             "Argument `accuracy` picks the width of smoothed friction, of which a "

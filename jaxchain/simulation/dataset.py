@@ -49,11 +49,11 @@ def columns_of(axes: Axes) -> dict[str, np.ndarray]:
 
 
 def describe(
-    chain: Any, n: int, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
+    model: Any, n: int, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
     """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
     return {
-        "parameters": parameters_of(chain, n, swept),
+        "parameters": parameters_of(model, n, swept),
         "solver": plan.method,
         "rtol": float(plan.rtol),
         "atol": float(plan.atol),
@@ -68,7 +68,7 @@ def describe(
 def to_dataset(
     records: Mapping[str, Any],
     axes: Axes,
-    chain: Any,
+    model: Any,
     n: int,
     attrs: Mapping[str, Any],
     edges: np.ndarray | None = None,
@@ -109,9 +109,9 @@ def to_dataset(
         if name in LONG_NAMES:
             attrs_of[name]["long_name"] = LONG_NAMES[name]
         timed = name in ("end_time", "segment_end")
-        attrs_of[name]["units"] = chain.time_unit if timed else "1"
-    for name in filter(chain.has_parameter, columns_of(axes)):
-        attrs_of[name] |= chain.parameter(name).attrs
+        attrs_of[name]["units"] = model.time_unit if timed else "1"
+    for name in filter(model.has_parameter, columns_of(axes)):
+        attrs_of[name] |= model.parameter(name).attrs
     attrs_of["result"] |= {
         "flag_values": np.arange(len(NAMES), dtype=code.dtype),
         "flag_meanings": " ".join(NAMES),

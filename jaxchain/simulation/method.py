@@ -170,7 +170,7 @@ def check_tolerances(rtol: ArrayLike, atol: ArrayLike | None, max_step: ArrayLik
             )
 
 
-def custom_solver(chain: Any, solver: Any) -> Any:
+def custom_solver(model: Any, solver: Any) -> Any:
     """`solver`, or `EventDriven()` if none is given and friction is dry; otherwise None."""
     # Solvers that split the right-hand side into several terms have other term structures.
     suits = isinstance(solver, dfx.AbstractAdaptiveSolver) and isinstance(
@@ -182,7 +182,7 @@ def custom_solver(chain: Any, solver: Any) -> Any:
             "diffrax solver for one term that estimates its errors, but is "
             f"{shown(solver)}{_instead(solver)}"
         )
-    if not chain.dry or isinstance(solver, EventDriven):
+    if not model.dry or isinstance(solver, EventDriven):
         return solver
     if solver is None:
         return EventDriven()

@@ -23,7 +23,7 @@ from .._checks import (
 from .._derivatives import both_ways
 from .._final import final
 from .._types import ScalarLike, State
-from ..model.arguments import as_chain, as_state
+from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver
 from ..observers.samples import Trajectory
@@ -103,7 +103,7 @@ class Simulation(Printed, eqx.Module):
 
 
 def simulate(
-    chain: AbstractModel,
+    model: AbstractModel,
     initial: Any,
     t1: ScalarLike,
     *,
@@ -124,7 +124,7 @@ def simulate(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, `AbstractOscillators` or `AbstractCells`.
+    - `model`: a `Chain`, `AbstractOscillators` or `AbstractCells`.
     - `initial`: the pair (x, v), both of shape (n,); see `excited_state`, `equation_8`.  Of other
       cells a tuple of m arrays of shape (n,).
     - `t1`, `t0`: dimensionless times, t1 >= t0.
@@ -165,25 +165,25 @@ def simulate(
         >>> int(active(run.observed, 1.5).sum())
         1
     """
-    as_chain(chain, AbstractModel)
+    as_model(model)
     method = Method.of(
         method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
     )
-    solver = custom_solver(chain, method.solver)
+    solver = custom_solver(model, method.solver)
     check_adjoint(adjoint)
     check_flag("throw", throw)
     check_span(t0, t1)
     check_segments(segments)
     numerics = None
     if accuracy is not None:
-        check_accuracy(chain, accuracy, method.rtol)
-        numerics = choose_numerics(chain, accuracy)
+        check_accuracy(model, accuracy, method.rtol)
+        numerics = choose_numerics(model, accuracy)
         if not isinstance(solver, EventDriven):
-            chain = chain.with_(width=numerics.width)
+            model = model.with_(width=numerics.width)
             solver = numerics.solver if solver is None else solver
         method = dataclasses.replace(method, solver=solver, rtol=numerics.rtol)
-    initial = as_state(chain, initial, t0=t0)
-    method = method.suited(chain, initial[0].shape[0], initial)
+    initial = as_state(model, initial, t0=t0)
+    method = method.suited(model, initial[0].shape[0], initial)
     leaves, treedef = jtu.tree_flatten(observe, is_leaf=_is_observer)
     for leaf in leaves:
         if not _is_observer(leaf):
@@ -198,7 +198,7 @@ def simulate(
     plan = method.plan(observers, t1)
     trajectories = [o for o in leaves if isinstance(o, Trajectory)]
     out, values = _run(
-        plan, chain, initial, to_float(t0), to_float(t1), trajectories,
+        plan, model, initial, to_float(t0), to_float(t1), trajectories,
         method.max_steps, segments, adjoint,
     )  # fmt: skip
     if throw:
@@ -213,8 +213,8 @@ def simulate(
         ],
     )
     origin = Origin()
-    if not is_traced(out, plan, chain, leaves, t0, t1):
-        origin = Origin(chain, leaves, treedef, plan, float(t0), float(t1), segments)
+    if not is_traced(out, plan, model, leaves, t0, t1):
+        origin = Origin(model, leaves, treedef, plan, float(t0), float(t1), segments)
     return Simulation(
         out.t, out.state, observed, out.result, out.steps, out.rejected,
         None if method.dry else numerics, origin,
@@ -235,7 +235,7 @@ def check_adjoint(adjoint: Any) -> None:
 @eqx.filter_jit
 def _run(
     plan: AbstractPlan,
-    chain: AbstractModel,
+    model: AbstractModel,
     initial: State,
     t0: Array,
     t1: Array,
@@ -247,7 +247,7 @@ def _run(
     fits = jnp.all(jnp.asarray([_fits(o, t0, t1, segments) for o in plan.observers], bool))
 
     def begin(end: Array) -> Progress:
-        progress = plan.begin(chain, initial, t0, end)
+        progress = plan.begin(model, initial, t0, end)
         # Traced times cannot be refused, so the run is marked.
         result = Result.where(progress.running & ~fits, Result.bad_span, progress.result)
         return eqx.tree_at(lambda p: p.result, progress, result)
@@ -262,14 +262,14 @@ def _run(
     if segments is None:
         progress = begin(t1)
         times = [o.times for o in trajectories]
-        progress, saved = _advance(plan, chain, progress, t1, times, max_steps, adjoint)
+        progress, saved = _advance(plan, model, progress, t1, times, max_steps, adjoint)
         return progress, (read(progress), saved)
 
     def segment(progress: Progress, ends: tuple[Array, Array]) -> tuple[Progress, list]:
         start, end = ends
-        fresh = [o.init(chain, start, end, progress.state) for o in plan.observers]
+        fresh = [o.init(model, start, end, progress.state) for o in plan.observers]
         progress = eqx.tree_at(lambda p: p.accumulators, progress, fresh)
-        progress, _ = _advance(plan, chain, progress, end, [], max_steps, adjoint, segments)
+        progress, _ = _advance(plan, model, progress, end, [], max_steps, adjoint, segments)
         return progress, read(progress)
 
     edges = t0 + (t1 - t0) * jnp.arange(segments + 1) / segments
@@ -308,22 +308,22 @@ _RECORDED = 2**15
 
 
 def _advance(
-    plan: AbstractPlan, chain: AbstractModel, progress: Progress, t1: Array, times: list,
+    plan: AbstractPlan, model: AbstractModel, progress: Progress, t1: Array, times: list,
     max_steps: int | None, adjoint: dfx.AbstractAdjoint | None, parts: int = 1,
 ) -> tuple[Progress, list]:  # fmt: skip
     """`plan.advance`, with derivatives of both kinds if `adjoint` is None."""
 
     def go(adjoint: dfx.AbstractAdjoint, recorded: int | None = None) -> Any:
         def run(args: Any) -> tuple[Progress, list]:
-            plan, chain, progress, t1, times = args
+            plan, model, progress, t1, times = args
             return plan.advance(
-                chain, progress, t1, max_steps=max_steps, times=times, adjoint=adjoint,
+                model, progress, t1, max_steps=max_steps, times=times, adjoint=adjoint,
                 recorded=recorded,
             )  # fmt: skip
 
         return run
 
-    args = plan, chain, progress, t1, times
+    args = plan, model, progress, t1, times
     if adjoint is None or (
         isinstance(adjoint, dfx.RecursiveCheckpointAdjoint)
         and adjoint.checkpoints is None

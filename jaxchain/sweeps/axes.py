@@ -32,7 +32,7 @@ Key: TypeAlias = tuple[int, ...]
 
 
 def check_axes(
-    chain: AbstractModel,
+    model: AbstractModel,
     initial: Any,
     over: Mapping[str, Any],
     vary: Callable[..., Any] | None = None,
@@ -44,7 +44,7 @@ def check_axes(
             check_function(title, f, "of the chain, and of what else `over` names", 1)
     functions = {title: f for title, f in (("initial", initial), ("vary", vary)) if callable(f)}
     of_functions = [name for f in functions.values() for name in initial_names(f)]
-    numbers = chain.parameter_names
+    numbers = model.parameter_names
     remedy = '{"belt_speed": [1.0, 1.5]}, say.'
     check_kind("over", over, Mapping, "a dict of quantities and their values", remedy)
     if not over:
@@ -60,16 +60,16 @@ def check_axes(
             continue
         values = np.asarray(given)
         # One number per mass, or a matrix, for each run: drawn at random, as a rule.
-        drawn = values.ndim > 1 and chain.has_parameter(dim)
+        drawn = values.ndim > 1 and model.has_parameter(dim)
         axes.setdefault("realisation" if drawn else dim, {})[dim] = values
     names = [name for columns in axes.values() for name in columns]
     for dim, columns in axes.items():
         for name in columns:
             if name == "width" and name not in of_functions:
-                require_smoothed(chain, "to sweep `width` ")
-            number = chain.has_parameter(name)
+                require_smoothed(model, "to sweep `width` ")
+            number = model.has_parameter(name)
             if number and array_of(name) is not None:
-                chain.value_of(name)  # raises unless there is such an entry
+                model.value_of(name)  # raises unless there is such an entry
             if not number and name not in of_functions:
                 known = sorted({*numbers, *of_functions})
                 raise ValueError(
@@ -99,11 +99,11 @@ def check_axes(
             "Sweep over fewer values, split the sweep, or keep it in a `store`."
         )
     columns = columns_of(axes)
-    own = {k: values for k, values in columns.items() if chain.has_parameter(k)}
-    left = [k for k, a in own.items() if not chain.check_parameter(k, a) or a.ndim > 1]
+    own = {k: values for k, values in columns.items() if model.has_parameter(k)}
+    left = [k for k, a in own.items() if not model.check_parameter(k, a) or a.ndim > 1]
     for row in extremes(axes, left):
         try:
-            chain.with_(**row)  # also for those of a law that contradict each other
+            model.with_(**row)  # also for those of a law that contradict each other
         except ValueError as error:
             drawn = [name for name, value in row.items() if np.ndim(value)]
             if not drawn:

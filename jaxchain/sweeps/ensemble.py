@@ -41,7 +41,7 @@ import numpy as np
 
 from .._checks import check_concrete, check_finite, shown, to_float
 from .._types import ScalarLike, State
-from ..model.arguments import as_chain
+from ..model.arguments import as_model
 from ..model.entries import array_of
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
@@ -205,7 +205,7 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
     **Raises:** `ValueError` for bad input.
     """
-    chain: Any = as_chain(settings.chain, AbstractModel)
+    chain: Any = as_model(settings.chain)
     initial, vary, t0, t1 = settings.initial, settings.vary, settings.t0, settings.t1
     check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
     check_concrete("use `jax.vmap` of `simulate`.", over=over)
@@ -252,18 +252,18 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
 
 def _numerics(
-    chain: AbstractModel,
+    model: AbstractModel,
     vary: Callable[..., Any] | None,
     jobs: Mapping[str, np.ndarray],
     accuracy: float,
 ) -> tuple[np.ndarray, float]:
     """The width of every job, and one rtol for all."""
     names = [] if vary is None else initial_names(vary)
-    kept = {name: v for name, v in jobs.items() if name in names or chain.has_parameter(name)}
+    kept = {name: v for name, v in jobs.items() if name in names or model.has_parameter(name)}
     columns = {name: jnp.asarray(v) for name, v in kept.items()}
 
     def of_one(values: dict[str, Any]) -> tuple[Any, Any]:
-        chosen = choose_numerics(chain_of_run(chain, vary, values), accuracy)
+        chosen = choose_numerics(chain_of_run(model, vary, values), accuracy)
         return chosen.width, chosen.rtol
 
     count = next(iter(jobs.values())).size
@@ -275,7 +275,7 @@ def _numerics(
 
 
 def _check_initial(
-    chain: AbstractModel, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
+    model: AbstractModel, initial: State | Callable[..., State], columns: Mapping[str, np.ndarray]
 ) -> tuple[int, int]:
     """Raises the errors of `initial` for its own values, and for a state of a wrong shape.
 
@@ -292,23 +292,23 @@ def _check_initial(
             different = np.unique(values) if values.ndim == 1 else values[:0]
             kept = different if different.size <= 64 else different[[0, -1]]
             rows += [first | {name: jnp.asarray(value)} for value in kept]
-        states = [eqx.filter_eval_shape(functools.partial(initial, chain, **row)) for row in rows]
+        states = [eqx.filter_eval_shape(functools.partial(initial, model, **row)) for row in rows]
         if not varied:
-            given = known_again(initial), chain
+            given = known_again(initial), model
             states = [shape_of(_first_state, given, programs=start_program)]
     first = states[0]
-    m = len(chain.variables) or (len(first) if isinstance(first, tuple | list) else 0)
-    n = chain.n or 1
+    m = len(model.variables) or (len(first) if isinstance(first, tuple | list) else 0)
+    n = model.n or 1
     for state in states:
         if not isinstance(state, tuple | list) or len(state) != m:
             raise ValueError(
-                f"Argument `initial` must be {chain.state_in_words} or return it, but that is "
+                f"Argument `initial` must be {model.state_in_words} or return it, but that is "
                 f"{shown(state)}: see `excited_state`."
             )
-        if chain.n is None:
+        if model.n is None:
             n = max(n, *(math.prod(jnp.shape(part)) for part in state))
         for i, part in enumerate(state):
-            name = chain.variable(i).name
+            name = model.variable(i).name
             if not isinstance(part, jax.ShapeDtypeStruct):
                 to_float(part, f"initial {name}", "see `excited_state` for initial states.")
             if jnp.shape(part) not in ((), (n,)):
@@ -318,7 +318,7 @@ def _check_initial(
                 )
             if not callable(initial):
                 check_finite(f"initial {name}", part, "see `excited_state` for initial states.")
-    chain.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable
+    model.dependence((jnp.zeros(n),) * m)  # raises unless there is a rate for each variable
     return m, n
 
 
@@ -327,22 +327,22 @@ def _first_state(given: tuple[Callable[..., State], AbstractModel]) -> State:
     return initial(chain)
 
 
-def _check_vary(chain: AbstractModel, vary: Callable[..., Any] | None, axes: Axes) -> None:
+def _check_vary(model: AbstractModel, vary: Callable[..., Any] | None, axes: Axes) -> None:
     """Raises the errors of `vary` at the extremes of its parameters, or if it returns no chain."""
     if vary is None:
         return
     for row in extremes(axes, initial_names(vary)) or [{}]:
-        varied: Any = vary(chain, **row)
-        if type(varied) is not type(chain) or varied.n != chain.n:
-            of = "" if chain.n is None else f" of {chain.n} masses"
+        varied: Any = vary(model, **row)
+        if type(varied) is not type(model) or varied.n != model.n:
+            of = "" if model.n is None else f" of {model.n} masses"
             raise ValueError(
-                f"Argument `vary` must return a `{type(chain).__name__}`{of}, but returns "
+                f"Argument `vary` must return a `{type(model).__name__}`{of}, but returns "
                 f"{shown(varied)}."
             )
 
 
 def check_observers(
-    observe: Any, chain: Any, size: tuple[int, int], t0: float, t1: float,
+    observe: Any, model: Any, size: tuple[int, int], t0: float, t1: float,
     segments: int | None, axes: Axes,
 ) -> list[AbstractObserver]:  # fmt: skip
     """The observers of runs over [t0, t1], whose variables must have different names."""
@@ -366,7 +366,7 @@ def check_observers(
             )
         kind = f"`{type(observer).__name__}`"
         still = tuple(np.zeros(size))
-        for name, variable in shape_of(_labels, (observer, chain), still).items():
+        for name, variable in shape_of(_labels, (observer, model), still).items():
             if name in givers:
                 raise ValueError(
                     f"Argument `observe` holds {kind}, which names a variable {name!r} as "
@@ -513,12 +513,12 @@ def _rate(field: Any, state: State) -> Any:
     return field(jnp.zeros(()), state)
 
 
-def _seen(observer: Any, chain: Any, t0: Any, t1: Any, start: State) -> Any:
+def _seen(observer: Any, model: Any, t0: Any, t1: Any, start: State) -> Any:
     """The result of an observer for one step."""
-    kept = observer.init(chain, t0, t1, start)
-    step = Step(chain, t0, t1, start, start, lambda theta, k: start[k] + 0.0 * theta)
+    kept = observer.init(model, t0, t1, start)
+    step = Step(model, t0, t1, start, start, lambda theta, k: start[k] + 0.0 * theta)
     kept = observer.update(kept, step)
-    labels = observer.label(observer.read(kept), chain)
+    labels = observer.label(observer.read(kept), model)
     return observer.settled(kept), observer.rests(kept), dict(labels)
 
 

@@ -37,21 +37,21 @@ def initial_names(initial: Callable) -> list[str]:
     return list(inspect.signature(initial).parameters)[1:]
 
 
-def with_numbers(chain: Any, values: Mapping[str, Any]) -> Any:
+def with_numbers(model: Any, values: Mapping[str, Any]) -> Any:
     """The chain with those of the `values` that are its numbers."""
-    numbers = {k: v for k, v in values.items() if chain.has_parameter(k)}
-    return chain.with_(**numbers) if numbers else chain
+    numbers = {k: v for k, v in values.items() if model.has_parameter(k)}
+    return model.with_(**numbers) if numbers else model
 
 
-def chain_of_run(chain: Any, vary: Callable[..., Any] | None, values: Mapping[str, Any]) -> Any:
+def chain_of_run(model: Any, vary: Callable[..., Any] | None, values: Mapping[str, Any]) -> Any:
     """The chain with the numbers of one job, and then changed by `vary`."""
-    chain = with_numbers(chain, values)
-    return chain if vary is None else _call(vary, chain, values)
+    model = with_numbers(model, values)
+    return model if vary is None else _call(vary, model, values)
 
 
-def _call(function: Callable, chain: Any, values: Mapping[str, Any]) -> Any:
+def _call(function: Callable, model: Any, values: Mapping[str, Any]) -> Any:
     names = initial_names(function)
-    return function(chain, **{k: v for k, v in values.items() if k in names})
+    return function(model, **{k: v for k, v in values.items() if k in names})
 
 
 def known_again(function: Any) -> Any:
@@ -181,11 +181,11 @@ class SweepTask(eqx.Module):
         chain = with_numbers(self.chain, numbers.numbers)
         return chain if self.varied is None else self.varied.make(chain, numbers.new)
 
-    def observed(self, chain: AbstractModel, progress: Progress) -> OrderedDict[str, Variable]:
+    def observed(self, model: AbstractModel, progress: Progress) -> OrderedDict[str, Variable]:
         """The values of all observers so far, by the names of the variables."""
         labels = OrderedDict()  # JAX sorts a dict
         for observer, value in zip(self.plan.observers, self.plan.read(progress), strict=True):
-            labels |= observer.label(value, chain)
+            labels |= observer.label(value, model)
         return jtu.tree_map(jnp.asarray, labels)
 
 
@@ -244,17 +244,17 @@ def advance_lane(
 
 
 def _next_segment(
-    task: SweepTask, chain: AbstractModel, progress: Progress, now: Segments, over: Bool[Array, ""]
+    task: SweepTask, model: AbstractModel, progress: Progress, now: Segments, over: Bool[Array, ""]
 ) -> tuple[Progress, Segments]:
     """The lane; if the present segment is `over`, with its record and restarted observers."""
 
     def keep(all: Array, one: Array) -> Array:
         return all.at[now.present].set(jnp.where(over, one, all[now.present]))
 
-    observed = jtu.tree_map(keep, now.observed, task.observed(chain, progress))
+    observed = jtu.tree_map(keep, now.observed, task.observed(model, progress))
     present = now.present + over
     ends = task.edge(present), task.edge(present + 1)
-    fresh = [o.init(chain, *ends, progress.state) for o in task.plan.observers]
+    fresh = [o.init(model, *ends, progress.state) for o in task.plan.observers]
     fresh = jtu.tree_map(lambda a, b: jnp.where(over, a, b), fresh, progress.accumulators)
     tried = jnp.where(over, progress.steps + progress.rejected, now.tried)
     progress = eqx.tree_at(lambda p: p.accumulators, progress, fresh)

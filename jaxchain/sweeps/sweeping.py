@@ -61,7 +61,7 @@ class SweepInterrupted(KeyboardInterrupt):
 
 
 def sweep(
-    chain: Any,
+    model: Any,
     initial: State | Callable[..., State],
     t1: ScalarLike,
     *,
@@ -89,7 +89,7 @@ def sweep(
 
     **Arguments:**
 
-    - `chain`: a `Chain`, or other `AbstractOscillators` or `AbstractCells`.
+    - `model`: a `Chain`, or other `AbstractOscillators` or `AbstractCells`.
     - `initial`: the pair (x, v) (of cells a tuple of m arrays), or a function (chain, **own) ->
       (x, v) that JAX can trace; its other parameters come from `over`.
     - `t1`, `t0`: dimensionless times.
@@ -163,7 +163,7 @@ def sweep(
     method = Method.of(
         method, solver=solver, rtol=rtol, atol=atol, max_step=max_step, max_steps=max_steps
     )
-    settings = RunSettings(chain, initial, t1, vary, observe, t0, method, accuracy, segments)
+    settings = RunSettings(model, initial, t1, vary, observe, t0, method, accuracy, segments)
     ensemble = prepare(settings, over, MOST_LANES if store is None else MOST_STORED)
     chunks = check_chunks(chunks, ensemble.axes)
     if store is not None:

@@ -316,7 +316,7 @@ class Hasty(AbstractClassifier):
     def read(self, accumulator):
         return accumulator
 
-    def label(self, value, chain):
+    def label(self, value, model):
         return {
             "state": Variable((value > 0).astype(int), ("oscillator",)),
             "decided": Variable(jnp.asarray(True)),
@@ -326,7 +326,7 @@ class Hasty(AbstractClassifier):
     def patient(self):
         return Hasty(waits=True)
 
-    def name(self, code, chain):
+    def name(self, code, model):
         return "forward" if code[0] else "back"
 
 

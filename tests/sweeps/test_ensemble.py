@@ -70,7 +70,7 @@ class Mine(AbstractObserver):
     def read(self, accumulator):
         return accumulator
 
-    def label(self, value, chain):
+    def label(self, value, model):
         return {"mine": Variable(value, ("oscillator",))}
 
 

@@ -46,7 +46,7 @@ class Kinds(AbstractObserver):
     def read(self, accumulator):
         return accumulator
 
-    def label(self, value, chain):
+    def label(self, value, model):
         last, steps = value
         return {
             self.name: Variable(last, ("oscillator",), "x0", "last x_n"),

@@ -53,7 +53,7 @@ class Named(Last):
     name: str = eqx.field(static=True)
     dims: tuple = eqx.field(static=True, default=("oscillator",))
 
-    def label(self, value, chain):
+    def label(self, value, model):
         return {self.name: Variable(value, self.dims, "x0", "last x_n")}
 
 

@@ -24,14 +24,14 @@ class Well(AbstractClassifier):
         x, v = accumulator
         return jnp.all(v**2 / 2 - x**2 / 2 + x**4 / 4 < -1e-3)
 
-    def label(self, value, chain):
+    def label(self, value, model):
         return {
             "state": Variable((value[0] > 0).astype(int), ("oscillator",)),
             "decided": Variable(self.settled(value)),
             "settling_time": Variable(jnp.zeros(())),
         }
 
-    def name(self, code, chain):
+    def name(self, code, model):
         return "right" if code[0] else "left"
 
 
