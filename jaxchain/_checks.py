@@ -15,10 +15,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, Float
 
 from ._limits import LEAST_POSITIVE, MOST_COUNT
 from ._spelling import did_you_mean
+from ._types import ArrayLike
 
 # Characters of a value that an error shows.
 _LONGEST = 60
@@ -95,14 +96,18 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
     raise _not_real(name, value, remedy)
 
 
-def named(name: str, remedy: str = "") -> Callable[[Any], Float[Array, "..."]]:
+def named(name: str, remedy: str = "") -> Callable[[ArrayLike], Float[Array, "..."]]:
     """`to_float` as the converter of a field; its errors give the name of the field."""
     return functools.partial(to_float, name=name, remedy=remedy)
 
 
-def optional(name: str) -> Callable[[Any], Float[Array, "..."] | None]:
+def optional(name: str) -> Callable[[ArrayLike | None], Float[Array, "..."] | None]:
     """`named` for a field that may be None."""
-    return lambda value: None if value is None else to_float(value, name)
+
+    def convert(value: ArrayLike | None) -> Float[Array, "..."] | None:
+        return None if value is None else to_float(value, name)
+
+    return convert
 
 
 def as_array(
@@ -210,7 +215,7 @@ def check_at_least(
     _check_each(name, numbers, numbers >= bounds, f"at least `{floor_name}` = {floor}", remedy)
 
 
-def check_per_mass(**arguments: ArrayLike) -> None:
+def check_per_mass(**arguments: Any) -> None:
     """Raises `ValueError` unless each argument is one number or one per mass, with equal lengths.
 
     >>> check_per_mass(mu_static=1.0, v_ref=jnp.array([0.5, 0.6]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, cast
 
 import diffrax as dfx
@@ -25,7 +25,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._types import ScalarLike, State
+from .._types import ArrayLike, ScalarLike, State
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS
 from ..continuation.implicit import attach_derivative
@@ -578,14 +578,14 @@ class Blow(Outcome):
 
 def gentlest_blow(
     chain: Chain,
-    masses: Any = None,
+    masses: int | Sequence[int] | None = None,
     *,
-    direction: Any = None,
-    starts: Any = 8,
-    steps: Any = 40,
-    tolerance: Any = 1e-5,
+    direction: ArrayLike | None = None,
+    starts: int = 8,
+    steps: int = 40,
+    tolerance: ScalarLike = 1e-5,
     optimiser: optax.GradientTransformation | None = None,
-    tries: Any = 0,
+    tries: int = 0,
 ) -> Blow:
     """The smallest velocity kick that takes steady sliding to vibration.
 

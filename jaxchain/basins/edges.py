@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_kind, check_positive_number, is_traced, shown, to_float
 from .._final import final
 from .._internals import nondifferentiable
-from .._types import State
+from .._types import ScalarLike, State, StateLike
 from ..cycles.floquet import LimitCycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain, as_model, as_state
@@ -30,7 +30,7 @@ from ..observers.samples import Samples
 from ..observers.section import Section
 from ..observers.stick_time import StickTime
 from ..result import Outcome, SearchResult, ended_well
-from ..simulation.method import Method
+from ..simulation.method import Method, Solver
 from ..simulation.run import MOST_SEGMENTS, simulate
 from .classifiers import AbstractClassifier
 
@@ -436,18 +436,18 @@ class EdgeState(Outcome):
 
 def edge_state(
     model: AbstractModel,
-    quiet: Any,
-    vibrating: Any,
+    quiet: StateLike,
+    vibrating: StateLike,
     *,
-    classify: Any = None,
-    time: Any = 1000.0,
-    window: Any = 20.0,
-    patience: Any = 20000.0,
-    near: Any = 1e-10,
-    far: Any = 1e-6,
-    tolerance: Any = 1e-8,
-    rtol: Any = RTOL,
-    solver: Any = None,
+    classify: AbstractClassifier | None = None,
+    time: ScalarLike = 1000.0,
+    window: ScalarLike = 20.0,
+    patience: ScalarLike = 20000.0,
+    near: ScalarLike = 1e-10,
+    far: ScalarLike = 1e-6,
+    tolerance: ScalarLike = 1e-8,
+    rtol: ScalarLike = RTOL,
+    solver: Solver | None = None,
 ) -> EdgeState:
     """The state on the edge between the basins of two starts, by bisection and edge tracking.
 

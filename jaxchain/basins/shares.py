@@ -42,7 +42,7 @@ from ..sweeps.programs import starter
 from ..sweeps.scheduler import lane_count
 from ..sweeps.sweeping import SweepInterrupted, sweep
 from .classifiers import AbstractClassifier, VibratingMasses
-from .regions import Points, check_region
+from .regions import AbstractRegion, Points, check_region
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -440,12 +440,12 @@ _FIRST = 32
 
 
 def basin_shares(
-    model: Any,
-    region: Any,
+    model: AbstractModel,
+    region: AbstractRegion,
     over: Mapping[str, Any] | None = None,
     *,
-    half_width: Any = 0.01,
-    classify: Any = None,
+    half_width: ScalarLike = 0.01,
+    classify: AbstractClassifier | None = None,
     t1: ScalarLike = 1000.0,
     points: Literal["sobol", "random"] = "sobol",
     replicates: int = 32,

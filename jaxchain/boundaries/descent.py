@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_number, check_positive_number, check_whole
 from .._final import final
+from .._types import ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, check_descent, descend
 from ..model.arguments import as_chain
@@ -44,10 +45,10 @@ class HopfDescent(Outcome):
 
 def hopf_by_descent(
     chain: Chain,
-    start: Any = None,
+    start: PyTree | None = None,
     optimiser: optax.GradientTransformation | None = None,
-    steps: Any = 1000,
-    tolerance: Any = 1e-10,
+    steps: int = 1000,
+    tolerance: ScalarLike = 1e-10,
 ) -> HopfDescent:
     """A Hopf speed by gradient descent on g(v_d)^2, g the growth rate of steady sliding.
 
@@ -137,13 +138,13 @@ class FoldDescent(Outcome):
 
 
 def fold_by_descent(
-    chain: Any,
-    mass: Any = None,
+    chain: Chain,
+    mass: int | None = None,
     *,
-    start: Any = None,
+    start: PyTree | None = None,
     optimiser: optax.GradientTransformation | None = None,
-    steps: Any = 60,
-    tolerance: Any = 1e-3,
+    steps: int = 60,
+    tolerance: ScalarLike = 1e-3,
 ) -> FoldDescent:
     """The fold of `fold_belt_speed` by gradient ascent: the maximum belt speed of a vibration.
 

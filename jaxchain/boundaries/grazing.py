@@ -526,7 +526,7 @@ class Grazing(Outcome):
         return self.belt_speed + slopes.shift(width)
 
 
-def dry_fold_belt_speed(chain: Chain, mass: Any = None) -> Float[Array, ""]:
+def dry_fold_belt_speed(chain: Chain, mass: int | None = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives, for dry friction.
 
     This is the limit of `fold_belt_speed` for width 0, computed directly: the grazing-sliding fold
@@ -550,7 +550,7 @@ def dry_fold_belt_speed(chain: Chain, mass: Any = None) -> Float[Array, ""]:
     return find_grazing(chain, mass).belt_speed
 
 
-def find_grazing(chain: Chain, mass: Any = None) -> Grazing:
+def find_grazing(chain: Chain, mass: int | None = None) -> Grazing:
     """The fold of `dry_fold_belt_speed` with its cycle.
 
     Arguments, errors and transformations are those of `dry_fold_belt_speed`.  If another mass

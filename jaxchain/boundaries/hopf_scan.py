@@ -47,7 +47,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._types import ScalarLike
+from .._types import ArrayLike, ScalarLike
 from ..continuation.damped_newton import linearised, newton, solve
 from ..continuation.implicit import attach_derivative
 from ..cycles.limit_cycle import Guess
@@ -199,7 +199,9 @@ class GeneralisedHopf(Outcome):
     result: SearchResult
 
 
-def generalised_hopf(chain: Chain, parameter: Any, low: Any, high: Any) -> GeneralisedHopf:
+def generalised_hopf(
+    chain: Chain, parameter: str, low: ScalarLike, high: ScalarLike
+) -> GeneralisedHopf:
     """The generalised Hopf (Bautin) point of one mass: l1 = 0, the end of the fold.
 
     Solves d(v_d) = 0, l1 = 0 in (v_d, parameter): successively finer logarithmic grids between
@@ -534,7 +536,7 @@ class HopfPoints(Printed, eqx.Module):
     belt_speeds: tuple[float, float] = eqx.field(static=True)
 
 
-def hopf_points(chain: Chain, belt_speeds: Any = (0.0, GREATEST_SPEED)) -> HopfPoints:
+def hopf_points(chain: Chain, belt_speeds: ArrayLike = (0.0, GREATEST_SPEED)) -> HopfPoints:
     """Every Hopf point of steady sliding at belt speeds between `belt_speeds` = (low, high).
 
     The default upper bound is 1e6, as in `hopf_belt_speed`.
@@ -650,7 +652,7 @@ def guess_from_hopf(
     chain: Chain,
     points: HopfPoints,
     index: int = 0,
-    amplitude: Any = None,
+    amplitude: ScalarLike | None = None,
     mass: int | None = None,
 ) -> Guess:
     """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.

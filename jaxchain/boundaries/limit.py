@@ -23,6 +23,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
 from .._final import final
+from .._types import ArrayLike, ScalarLike
 from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_summits, one_mass, speed_scale
 from ..model.chain import Chain
@@ -54,7 +55,11 @@ class Extrapolation(Printed, eqx.Module):
 
 
 def extrapolate(
-    values: Any, widths: Any, *, scale: Any = 1.0, accuracy: Any = _ACCURACY
+    values: ArrayLike,
+    widths: ArrayLike,
+    *,
+    scale: ScalarLike = 1.0,
+    accuracy: ScalarLike = _ACCURACY,
 ) -> Extrapolation:
     """Extrapolates `values` at several widths of smoothed friction to width 0.
 
@@ -157,7 +162,9 @@ def check_widths(widths: Any) -> Float[Array, " widths"]:
     return array
 
 
-def extrapolated_fold(chain: Chain, mass: Any = None, widths: Any = None) -> Extrapolation:
+def extrapolated_fold(
+    chain: Chain, mass: int | None = None, widths: ArrayLike | None = None
+) -> Extrapolation:
     """`fold_belt_speed` for width 0, extrapolated from several widths, with an error bar.
 
     **Arguments:** `chain` and `mass` as for `fold_belt_speed`; the chain's width is ignored.

@@ -18,7 +18,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import as_array, check_finite, check_flag, check_kind, is_traced, shown, to_float
 from .._final import final
-from .._types import State
+from .._types import ScalarLike, State, StateLike
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_model, as_parameter
@@ -203,12 +203,12 @@ def slopes_of(values: Array, within: Array) -> Complex[Array, " m"]:
 
 
 def complex_modes(
-    model: Any,
-    guess: Any = None,
+    model: AbstractModel,
+    guess: StateLike | None = None,
     *,
     over: Mapping[str, Any] | None = None,
-    tolerance: Any = 1e-12,
-    max_steps: Any = 50,
+    tolerance: ScalarLike = 1e-12,
+    max_steps: int = 50,
     throw: bool = True,
 ) -> ComplexModes:
     """Frequencies, growth rates and shapes of the modes of a model, over one of its parameters.

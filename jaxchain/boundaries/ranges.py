@@ -7,8 +7,6 @@ decides.
 
 from __future__ import annotations
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -16,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import check_flag, check_positive_number, is_traced, to_float
 from .._final import final
+from .._types import ScalarLike
 from ..model.chain import Chain
 from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
@@ -93,7 +92,9 @@ class StabilityRange(Outcome):
         return texts
 
 
-def stability_range(chain: Chain, mass: Any = None, *, error_bars: Any = False) -> StabilityRange:
+def stability_range(
+    chain: Chain, mass: int | None = None, *, error_bars: bool = False
+) -> StabilityRange:
     """Hopf speed, fold and the bistable range between them, for one vibrating mass.
 
     **Arguments:**
@@ -186,11 +187,11 @@ class BoundaryTrial(Printed, eqx.Module):
 
 def try_boundary(
     chain: Chain,
-    belt_speed: Any,
-    mass: Any = None,
+    belt_speed: ScalarLike,
+    mass: int | None = None,
     *,
-    margin: Any = 0.01,
-    time: Any = 400.0,
+    margin: ScalarLike = 0.01,
+    time: ScalarLike = 400.0,
 ) -> BoundaryTrial:
     """Tests a boundary by two event-driven runs with dry friction.
 

@@ -18,6 +18,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_concrete, check_kind, check_positive_number
 from .._final import final
+from .._types import ScalarLike
 from ..cycles.branches import continue_cycle
 from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_mass
@@ -53,7 +54,9 @@ class OneMassBranch(Printed, eqx.Module):
     cut_off: str = eqx.field(static=True, default="")
 
 
-def one_mass_branch(chain: Chain, lowest: Any = 0.1, fold: Fold | None = None) -> OneMassBranch:
+def one_mass_branch(
+    chain: Chain, lowest: ScalarLike = 0.1, fold: Fold | None = None
+) -> OneMassBranch:
     """Every cycle of one mass, stable or not, with smoothed friction.
 
     **Arguments:** `chain` of one mass; its `belt_speed` is ignored.  `lowest`, the belt speed at

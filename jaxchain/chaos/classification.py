@@ -31,6 +31,7 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
+from .._types import ArrayLike, ScalarLike, StateLike
 from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
 from ..model.arguments import as_model, as_state
@@ -40,7 +41,7 @@ from ..observers.quantities import energy
 from ..observers.samples import Samples
 from ..observers.section import PeakTimes, Section
 from ..result import NAMES, Printed, code, ended_well, message
-from ..simulation.method import Method
+from ..simulation.method import Method, Solver
 from ..simulation.run import simulate
 from ..sweeps.programs import map_lanes
 from .lyapunov import LyapunovSpectrum, lyapunov_spectrum
@@ -765,7 +766,7 @@ _INSTEAD = "use `lyapunov_spectrum` or `simulate`."
 _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
-def verdict(model: AbstractModel, initial: Any, **settings: Any) -> Verdict:
+def verdict(model: AbstractModel, initial: StateLike, **settings: Any) -> Verdict:
     """Whether the motion from `initial` is steady, periodic, quasi-periodic or chaotic.
 
     **Arguments:** `model`; `initial`, the pair (x, v), both of shape (n,), or all m arrays of
@@ -795,20 +796,20 @@ def verdict(model: AbstractModel, initial: Any, **settings: Any) -> Verdict:
 
 def verdicts(
     model: AbstractModel,
-    initials: Any,
+    initials: ArrayLike,
     *,
     noise: Sequence[float] = (1e-8, 1e-3),
     seeds: Any = 3,
     first: Any = 2000.0,
-    longest: Any = 32000.0,
-    exponent_time: Any = 10000.0,
-    exponent_runs: Any = 3,
-    count: Any = 3,
-    window: Any = 50.0,
-    solver: Any = None,
-    rtol: Any = 1e-6,
+    longest: ScalarLike = 32000.0,
+    exponent_time: ScalarLike = 10000.0,
+    exponent_runs: int = 3,
+    count: int = 3,
+    window: ScalarLike = 50.0,
+    solver: Solver | None = None,
+    rtol: ScalarLike = 1e-6,
     criteria: Criteria | None = None,
-    lanes: Any = 16,
+    lanes: int = 16,
     key: int = 0,
     progress: bool = False,
     description: str = "verdicts",

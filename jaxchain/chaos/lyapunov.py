@@ -30,7 +30,7 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import student_reach
-from .._types import State
+from .._types import ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.chain import Chain
 from ..model.model import AbstractModel
@@ -333,21 +333,21 @@ _MOST_BLOCKS = 10**6
 
 
 def lyapunov_spectrum(
-    model: Any,
-    initial: Any,
-    t1: Any,
+    model: AbstractModel,
+    initial: StateLike,
+    t1: ScalarLike,
     *,
-    count: Any = None,
-    transient: Any = 0.0,
-    interval: Any = None,
-    blocks: Any = 20,
+    count: int | None = None,
+    transient: ScalarLike = 0.0,
+    interval: ScalarLike | None = None,
+    blocks: int = 20,
     method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
-    rtol: Any = None,
-    atol: Any = None,
-    max_step: Any = None,
-    max_steps: Any = None,
-    seed: Any = 0,
+    rtol: ScalarLike | None = None,
+    atol: ScalarLike | None = None,
+    max_step: ScalarLike | None = None,
+    max_steps: int | None = None,
+    seed: int = 0,
     progress: bool = False,
     throw: bool = True,
 ) -> LyapunovSpectrum:
@@ -451,7 +451,8 @@ def lyapunov_spectrum(
                 "lower `interval` or `blocks`, or raise `t1`."
             )
     if rate is not None:  # a longer step contracts, but not by the exact number
-        chosen = dataclasses.replace(chosen, max_step=jnp.minimum(chosen.max_step, 1.0 / rate))
+        longest = jnp.minimum(to_float(chosen.max_step), 1.0 / rate)
+        chosen = dataclasses.replace(chosen, max_step=longest)
     plan = chosen.plan([MostSticking() if chosen.dry else Divergence()], t1)
     max_steps = chosen.max_steps
     window = to_float(transient), to_float(t1), to_float(interval)

@@ -26,6 +26,7 @@ from .._checks import (
     require_x64,
     shown,
 )
+from .._types import ArrayLike, ScalarLike
 from .branch import Branch, BranchRecorder, Point, SpecialPoint
 from .corrector import Corrector
 from .damped_newton import check_vector, check_weights
@@ -294,24 +295,24 @@ def make_corrector(
 
 def continue_branch(
     residual: Callable[..., Any],
-    start: Any,
-    parameter: Any,
+    start: ArrayLike,
+    parameter: ScalarLike,
     args: PyTree = None,
     *,
-    direction: Any = 1,
-    step: Any = 0.05,
-    min_step: Any = 1e-7,
-    max_step: Any = 0.5,
-    max_points: Any = 200,
+    direction: ArrayLike = 1,
+    step: ScalarLike = 0.05,
+    min_step: ScalarLike = 1e-7,
+    max_step: ScalarLike = 0.5,
+    max_points: int = 200,
     bounds: tuple[Any, Any] = (-np.inf, np.inf),
-    weights: Any = None,
+    weights: ArrayLike | None = None,
     tests: Mapping[str, Test] | None = None,
     stop: Callable[..., Any] | None = None,
     progress: Callable[[int, Point], Any] | None = None,
     value_and_jacobian: Callable[..., Any] | None = None,
-    tolerance: Any = 1e-10,
-    max_turn: Any = 0.25,
-    max_bend: Any = 3e-3,
+    tolerance: ScalarLike = 1e-10,
+    max_turn: ScalarLike = 0.25,
+    max_bend: ScalarLike = 3e-3,
     keep_part: bool = True,
 ) -> Branch:
     """Follows the solutions of F(u, p) = 0 from (start, parameter), around folds, on the host.
@@ -441,11 +442,11 @@ def switch_branch(
     point: SpecialPoint,
     args: PyTree = None,
     *,
-    side: Any = 1,
-    step: Any = 1e-2,
-    weights: Any = None,
+    side: int = 1,
+    step: ScalarLike = 1e-2,
+    weights: ArrayLike | None = None,
     value_and_jacobian: Callable[..., Any] | None = None,
-    tolerance: Any = 1e-10,
+    tolerance: ScalarLike = 1e-10,
 ) -> Switched:
     """A point on the other branch through a simple branch point, to start `continue_branch` from.
 

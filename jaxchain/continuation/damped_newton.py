@@ -19,6 +19,7 @@ from .._checks import (
     require_x64,
     to_float,
 )
+from .._types import ArrayLike, ScalarLike
 from ..result import Outcome, SearchResult
 from .elimination import factor, substitute
 
@@ -245,12 +246,12 @@ def where(condition: Any, this: PyTree, other: PyTree) -> PyTree:
 
 def newton(
     residual: Callable[[Float[Array, " m"], PyTree], Float[Array, " m"]],
-    start: Any,
+    start: ArrayLike,
     args: PyTree = None,
     *,
-    tolerance: Any = 1e-10,
-    max_steps: Any = 30,
-    weights: Any = None,
+    tolerance: ScalarLike = 1e-10,
+    max_steps: int = 30,
+    weights: ArrayLike | None = None,
 ) -> Root:
     """Solves F(u) = 0 by damped Newton steps.
 

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_number, to_float
 from .._final import final
+from .._types import ArrayLike, ScalarLike
 from ..result import Outcome, SearchResult
 from .damped_newton import arrays, check_tolerance, check_vector, search
 
@@ -122,12 +123,12 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
 
 def fold_point(
     residual: Callable[..., Any],
-    u: Any,
-    p: Any,
+    u: ArrayLike,
+    p: ScalarLike,
     args: PyTree = None,
     *,
-    tolerance: Any = 1e-10,
-    max_steps: Any = 30,
+    tolerance: ScalarLike = 1e-10,
+    max_steps: int = 30,
 ) -> FoldPoint:
     """The fold of F(u, p) = 0 near (u, p), by damped Newton steps on `fold_residual`.
 

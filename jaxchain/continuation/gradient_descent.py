@@ -133,8 +133,8 @@ def descend(
     loss: Callable[[Any], ScalarLike],
     start: PyTree,
     optimiser: optax.GradientTransformation,
-    steps: Any = 500,
-    tolerance: Any = 1e-20,
+    steps: int = 500,
+    tolerance: ScalarLike = 1e-20,
     margins: Callable[[Any], PyTree] | None = None,
 ) -> Descent:
     """Minimises `loss` from `start` until it is at most `tolerance`, or for `steps` updates.

@@ -8,7 +8,7 @@ more, even for a symmetric orbit, which has fewer equations.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from .._checks import check_concrete, check_kind, check_one_of, check_whole
 from .._final import final
-from .._types import State
+from .._types import ArrayLike, ScalarLike, State, StateLike
 from ..continuation.arclength import (
     Switched,
     check_following,
@@ -40,6 +40,7 @@ from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass, as_parameter
 from ..model.chain import require_smoothed
+from ..model.model import AbstractModel
 from ..model.provenance import circumstances, parameters_of
 from ..observers.amplitude import amplitude_variables
 from ..observers.base import renamed
@@ -47,6 +48,7 @@ from ..result import Printed
 from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import (
+    LimitCycle,
     as_orbit,
     check_orbit,
     is_trusted,
@@ -688,23 +690,23 @@ class CycleBranch(Printed):
 
 
 def continue_cycle(
-    model: Any,
-    state: Any = None,
-    period: Any = None,
+    model: AbstractModel | LimitCycle,
+    state: StateLike | None = None,
+    period: ScalarLike | None = None,
     *,
-    parameter: Any = "belt_speed",
-    direction: Any = 1,
+    parameter: str = "belt_speed",
+    direction: ArrayLike | str = 1,
     bounds: tuple[Any, Any] | None = None,
-    mass: Any = None,
-    images: Any = None,
-    step: Any = 0.05,
-    min_step: Any = 1e-6,
-    max_step: Any = 0.3,
-    max_points: Any = 300,
+    mass: int | None = None,
+    images: Sequence[int] | CycleSymmetry | None = None,
+    step: ScalarLike = 0.05,
+    min_step: ScalarLike = 1e-6,
+    max_step: ScalarLike = 0.3,
+    max_points: int = 300,
     stop: Callable[[float, Any], Any] | None = None,
     progress: Callable[[int, Point], Any] | None = None,
-    rtol: Any = RTOL,
-    tolerance: Any = 1e-9,
+    rtol: ScalarLike = RTOL,
+    tolerance: ScalarLike = 1e-9,
     keep_part: bool = True,
 ) -> CycleBranch:
     """Follows a cycle as a number of the chain changes, around folds, with stability.
@@ -757,7 +759,7 @@ def continue_cycle(
     require_smoothed(model, "follow `find_limit_cycle` from one belt speed to the next, or ")
     state = check_orbit(model, state, period, rtol)
     n, velocity = state[0].size, model.value_and_rate(0.0, state)[1]
-    mass = as_mass(n, mass, int(jnp.argmax(model.belt_direction() * velocity)))
+    mass = int(as_mass(n, mass, int(jnp.argmax(model.belt_direction() * velocity))))
     p = float(as_parameter(model, parameter))
     solver = fit_linear_solve(Rodas5P(), model, float(rtol), state=state)
     (images, shift), turns = as_symmetry(images, model, state, mass), turns_of(model, period)
@@ -785,8 +787,8 @@ def switch_cycle(
     point: CyclePoint,
     *,
     symmetry: Any = 0,
-    side: Any = 1,
-    step: Any = 0.02,
+    side: int = 1,
+    step: ScalarLike = 0.02,
     bounds: tuple[Any, Any] | None = None,
     stop: Callable[[float, Any], Any] | None = None,
     **options: Any,

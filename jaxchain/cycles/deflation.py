@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 from .._checks import check_flag, check_kind, check_whole, shown, to_float
 from .._final import final
 from .._progress import progress_bar
-from .._types import State
+from .._types import ScalarLike, State
 from ..continuation.damped_newton import check_tolerance
 from ..model.arguments import as_chain, as_images, as_mass, as_model, as_state
 from ..model.chain import Chain, require_smoothed, steady_sliding
@@ -191,13 +191,13 @@ def find_limit_cycles(
     guesses: Any = 200,
     *,
     known: Iterable[LimitCycle] = (),
-    mass: Any = None,
-    rounds: Any = 3,
+    mass: int | None = None,
+    rounds: int = 3,
     key: Any = 0,
-    tolerance: Any = 1e-9,
-    rtol: Any = 1e-9,
-    max_steps: Any = 40,
-    lanes: Any = 16,
+    tolerance: ScalarLike = 1e-9,
+    rtol: ScalarLike = 1e-9,
+    max_steps: int = 40,
+    lanes: int = 16,
     progress: bool = False,
 ) -> CycleSearch:
     """Limit cycles that are not known yet, stable or not, from many starts.
@@ -250,11 +250,11 @@ def find_limit_cycles(
             model, remedy="give `guesses` = (states, periods) for other models.", name="model"
         )
         check_whole("guesses", guesses)
-        mass = as_mass(ring.n, mass, reference_site(ring.n))
-        guesses = random_starts(ring, guesses, mass, key)
+        start = int(as_mass(ring.n, mass, reference_site(ring.n)))
+        guesses = random_starts(ring, guesses, start, key)
     states, periods = _checked_starts(model, guesses)
     n, m = states[0].shape[1], len(states)
-    mass = as_mass(n, mass, reference_site(n))
+    mass = int(as_mass(n, mass, reference_site(n)))
     one = tuple(part[0] for part in states)
     forced = model.forcing_period()
     turns = None

@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from .._checks import as_array, check_positive_number, is_traced, shown, to_float
 from .._final import final
-from .._types import State
+from .._types import ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.chain import require_smoothed
 from ..model.locality import check_autonomous
@@ -33,7 +33,11 @@ _ROUNDINGS = 1e3
 
 
 def monodromy_matrix(
-    model: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
+    model: AbstractModel | LimitCycle,
+    state: StateLike | None = None,
+    period: ScalarLike | None = None,
+    *,
+    rtol: ScalarLike = CYCLE_RTOL,
 ) -> Float[Array, "two_n two_n"]:
     """M = d(state after `period`) / d(state), with states in the order (x_1 .. x_n, v_1 .. v_n).
 
@@ -88,7 +92,11 @@ def trace_integral(
 
 
 def liouville_determinant(
-    model: Any, state: Any = None, period: Any = None, *, rtol: Any = CYCLE_RTOL
+    model: AbstractModel | LimitCycle,
+    state: StateLike | None = None,
+    period: ScalarLike | None = None,
+    *,
+    rtol: ScalarLike = CYCLE_RTOL,
 ) -> Float[Array, ""]:
     """exp(integral of tr J), the exact det M, by a quadrature independent of M.
 
@@ -170,7 +178,10 @@ class Floquet(NamedTuple):
     defect: Float[Array, ""]
 
 
-def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
+def floquet_multipliers(
+    monodromy: ArrayLike | LimitCycle,
+    flow_direction: ArrayLike | tuple[ArrayLike, ...] | None = None,
+) -> Floquet:
     """Floquet multipliers of a `LimitCycle`, or the eigenvalues of a monodromy matrix.
 
     The trivial multiplier is removed by its eigenvector.
@@ -197,8 +208,9 @@ def floquet_multipliers(monodromy: Any, flow_direction: Any = None) -> Floquet:
     ((0.25+0j), 1.0, 0.0)
     """
     if is_cycle(monodromy) and flow_direction is None:
-        defect = monodromy.trivial_defect
-        return Floquet(monodromy.multipliers, jnp.full_like(defect, jnp.nan), defect)
+        cycle: Any = monodromy
+        defect = cycle.trivial_defect
+        return Floquet(cycle.multipliers, jnp.full_like(defect, jnp.nan), defect)
     monodromy = _square(monodromy)
     if flow_direction is None:
         raise ValueError(

@@ -16,6 +16,7 @@ found.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
@@ -37,7 +38,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import State
+from .._types import ScalarLike, State
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass, as_model, as_state
@@ -132,8 +133,8 @@ def guess_from_simulation(
     state: State,
     mass: int | None = None,
     *,
-    transient: Any = 0.0,
-    duration: Any = 40.0,
+    transient: ScalarLike = 0.0,
+    duration: ScalarLike = 40.0,
 ) -> Guess:
     """A point of the orbit on which `state` settles, and its period.
 
@@ -160,7 +161,7 @@ def guess_from_simulation(
     check_nonnegative("transient", transient, "200 is usual.")
     check_positive_number("duration", duration, "40 is some six periods.")
     mass = _cut_at(model, state, mass)
-    watch = Section(mass, _PEAKS, transient, of="velocity")
+    watch = Section(mass, _PEAKS, to_float(transient), of="velocity")
     return _last_turn(*watched(model, state, transient + duration, watch))
 
 
@@ -742,16 +743,16 @@ def _follow(
 
 
 def find_limit_cycle(
-    model: Any,
+    model: AbstractModel,
     guess: Any = None,
     *,
-    period: Any = None,
-    mass: Any = None,
+    period: ScalarLike | None = None,
+    mass: int | None = None,
     branch: Any = "stable",
-    images: Any = None,
-    rtol: Any = CYCLE_RTOL,
-    tolerance: Any = 1e-9,
-    max_steps: Any = 30,
+    images: Sequence[int] | CycleSymmetry | None = None,
+    rtol: ScalarLike = CYCLE_RTOL,
+    tolerance: ScalarLike = 1e-9,
+    max_steps: int = 30,
     throw: bool = True,
 ) -> LimitCycle:
     """The limit cycle near a guess, stable or not, by Newton's method at fixed belt speed.

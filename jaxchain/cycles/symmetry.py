@@ -28,12 +28,12 @@ import numpy as np
 
 from .._checks import check_concrete, check_positive_number, is_traced, shown
 from .._final import final
-from .._types import State
+from .._types import ScalarLike, State, StateLike
 from ..model.arguments import as_images
 from ..model.model import AbstractModel
 from ..observers.samples import Trajectory
 from ..simulation.run import simulate
-from .floquet import CYCLE_RTOL, as_orbit, check_orbit
+from .floquet import CYCLE_RTOL, LimitCycle, as_orbit, check_orbit
 from .variational import Shift, powers
 
 # Of the force, beside 0, at which a symmetry must hold, too.
@@ -102,7 +102,11 @@ Elements = dict[tuple[int, ...], Fraction]
 
 
 def cycle_symmetry(
-    model: Any, state: Any = None, period: Any = None, *, tolerance: Any = 1e-6
+    model: AbstractModel | LimitCycle,
+    state: StateLike | None = None,
+    period: ScalarLike | None = None,
+    *,
+    tolerance: ScalarLike = 1e-6,
 ) -> CycleSymmetry:
     """The rotations and reflections of a ring that leave a cycle unchanged, also up to a shift.
 

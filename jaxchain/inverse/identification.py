@@ -26,6 +26,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
+from .._types import ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, stay_inside, unknowns
 from ..model.arguments import as_state
@@ -138,11 +139,11 @@ def identify(
     chain: Chain,
     change: Callable[[Chain, Any], Chain],
     start: PyTree,
-    measurements: Any,
+    measurements: Measurements | Signal,
     *,
-    mass: Any = None,
-    starts: Any = 1,
-    steps: Any = 60,
+    mass: int | None = None,
+    starts: int = 1,
+    steps: int = 60,
 ) -> Identification:
     """The parameters theta of a chain that fit measurements best.
 
@@ -315,14 +316,14 @@ def profile(
     found: Identification,
     chain: Chain,
     change: Callable[[Chain, Any], Chain],
-    measurements: Any,
-    place: Any,
+    measurements: Measurements | Signal,
+    place: int,
     *,
-    mass: Any = None,
-    reach: Any = 5.0,
-    points: Any = 41,
-    confidence: Any = 0.95,
-    steps: Any = 60,
+    mass: int | None = None,
+    reach: ScalarLike = 5.0,
+    points: int = 41,
+    confidence: ScalarLike = 0.95,
+    steps: int = 60,
 ) -> Profile:
     """The profile likelihood of one number: all others are fitted anew for each of its values.
 

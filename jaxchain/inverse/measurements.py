@@ -27,6 +27,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
+from .._types import ArrayLike, ScalarLike
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..cycles.limit_cycle import LimitCycle, find_limit_cycle
@@ -194,7 +195,7 @@ class Signal(Printed, eqx.Module):
 
     def __init__(
         self,
-        times: Any,
+        times: ArrayLike,
         values: Any,
         noise: Any,
         what: What = "displacement",
@@ -386,7 +387,10 @@ def at_edges(chain: Chain, bent: Bool[Array, " q"]) -> dict[str, Bool[Array, ""]
 
 
 def predict(
-    chain: Chain, measurements: Measurements | Signal, mass: Any = None, phase: Any = None
+    chain: Chain,
+    measurements: Measurements | Signal,
+    mass: int | None = None,
+    phase: ScalarLike | None = None,
 ) -> Float[Array, " m"]:
     """The values that `chain` predicts for `measurements.values`.
 
@@ -614,7 +618,10 @@ def _cubic(
 
 
 def log_likelihood(
-    chain: Chain, measurements: Measurements | Signal, mass: Any = None, phase: Any = None
+    chain: Chain,
+    measurements: Measurements | Signal,
+    mass: int | None = None,
+    phase: ScalarLike | None = None,
 ) -> Float[Array, ""]:
     """The logarithm of the probability density of measurements with Gaussian noise.
 

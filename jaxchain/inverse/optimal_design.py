@@ -23,6 +23,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
+from .._types import ArrayLike, ScalarLike
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.ranges import StabilityRange, stability_range
 from ..continuation.damped_newton import where
@@ -120,15 +121,15 @@ def design(
     change: Callable[[Chain, Any], Chain],
     start: PyTree,
     *,
-    width_below: Any = None,
-    highest_below: Any = None,
-    blow_above: Any = None,
+    width_below: ScalarLike | None = None,
+    highest_below: ScalarLike | None = None,
+    blow_above: ScalarLike | None = None,
     cost: Callable[[Any], Any] | None = None,
-    scale: Any = None,
-    mass: Any = None,
+    scale: ArrayLike | None = None,
+    mass: int | None = None,
     optimiser: optax.GradientTransformation | None = None,
-    steps: Any = 200,
-    tolerance: Any = 1e-6,
+    steps: int = 200,
+    tolerance: ScalarLike = 1e-6,
 ) -> Design:
     """The cheapest design theta whose vibration ends at a low speed, or needs a hard blow.
 

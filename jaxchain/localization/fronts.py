@@ -5,6 +5,7 @@ A front that moves does so in hops, from mass to mass; one that is pinned does n
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -24,12 +25,12 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ScalarLike
+from .._types import ArrayLike, ScalarLike, StateLike
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
 from ..result import Printed, Result, ended_well
-from ..simulation.method import MAX_STEP, check_span, check_tolerances
+from ..simulation.method import MAX_STEP, Solver, check_span, check_tolerances
 from ..simulation.run import MOST_SEGMENTS, simulate
 
 if TYPE_CHECKING:
@@ -122,16 +123,16 @@ def _measure(
 
 def front_speed(
     chain: Chain,
-    initial: Any,
+    initial: StateLike,
     t1: ScalarLike,
     *,
     t0: ScalarLike = 0.0,
-    transient: Any = None,
-    windows: Any = None,
-    middle: Any = None,
-    level: Any = 0.95,
-    solver: Any = None,
-    rtol: Any = 1e-6,
+    transient: ScalarLike | None = None,
+    windows: int | None = None,
+    middle: int | None = None,
+    level: ScalarLike = 0.95,
+    solver: Solver | None = None,
+    rtol: ScalarLike = 1e-6,
 ) -> FrontSpeed:
     """Runs a block of vibrating masses and measures how fast its fronts move.
 
@@ -168,19 +169,20 @@ def front_speed(
     check_share("level", level, "0.95 is usual.")
     check_tolerances(rtol, None, MAX_STEP)
     windows = _window_count(windows, t0, t1)
-    if transient is None:
-        transient = 0.2 * (t1 - t0)
-    _check_transient(transient, t0, t1)
+    left_out = 0.2 * (t1 - t0) if transient is None else transient
+    _check_transient(left_out, t0, t1)
     run = simulate(
         chain, initial, t1, t0=t0, observe=FrontTrack(windows, middle), rtol=rtol,
         solver=solver, throw=False,
     )  # fmt: skip
-    speed = _measure(run.observed, chain.n, t0, t1, transient, ended_well(run.result), level)
+    speed = _measure(run.observed, chain.n, t0, t1, left_out, ended_well(run.result), level)
     times = t0 + (jnp.arange(windows) + 0.5) * (t1 - t0) / windows
     return FrontSpeed(**speed, times=times, fronts=run.observed, result=run.result)
 
 
-def front_speeds(runs: Dataset, transient: Any = None, *, level: Any = 0.95) -> Dataset:
+def front_speeds(
+    runs: Dataset, transient: ArrayLike | None = None, *, level: ScalarLike = 0.95
+) -> Dataset:
     """The numbers of `front_speed` for every run of a sweep.
 
     **Arguments:** `runs`, from `sweep(..., observe=FrontTrack(windows))`; `transient`, the time to
@@ -295,16 +297,16 @@ class Depinning(Printed, eqx.Module):
 
 def depinning_belt_speed(
     chain: Chain,
-    initial: Any,
+    initial: Callable[[Chain], StateLike],
     t1: ScalarLike,
     *,
-    stands: Any,
-    moves: Any,
-    halvings: Any = 6,
-    transient: Any = None,
-    windows: Any = None,
-    solver: Any = None,
-    rtol: Any = 1e-6,
+    stands: ScalarLike,
+    moves: ScalarLike,
+    halvings: int = 6,
+    transient: ScalarLike | None = None,
+    windows: int | None = None,
+    solver: Solver | None = None,
+    rtol: ScalarLike = 1e-6,
 ) -> Depinning:
     """The belt speed at which the fronts of a block start to move, by bisection.
 

@@ -38,7 +38,7 @@ FARTHEST = {"uniform": math.sqrt(3.0), "normal": _NORMAL_END}
 
 
 def mistuned_stiffness(
-    seed: Any, n: Any, disorder: Any, distribution: str = "uniform"
+    seed: int, n: int, disorder: ScalarLike, distribution: str = "uniform"
 ) -> Float[Array, " n"]:
     """Random stiffnesses k_n = 1 + disorder u_n, u_n independent, of mean 0 and variance 1.
 
@@ -71,7 +71,9 @@ def mistuned_stiffness(
     return 1.0 + disorder * _draw(_key(seed), masses, distribution)
 
 
-def mistuned_chain(chain: Chain, seed: Any, disorder: Any, distribution: str = "uniform") -> Chain:
+def mistuned_chain(
+    chain: Chain, seed: int, disorder: ScalarLike, distribution: str = "uniform"
+) -> Chain:
     """The chain with each stiffness multiplied by one of `mistuned_stiffness`.
 
     Use it as `sweep(..., vary=mistuned_chain, over={"disorder": ..., "seed": ...})`.
@@ -153,7 +155,7 @@ class LinearModes(Printed, eqx.Module):
     return_probability: Float[Array, " n"]
 
 
-def linear_modes(chain: Any) -> LinearModes:
+def linear_modes(chain: Chain) -> LinearModes:
     """Natural frequencies and mode shapes of a chain.
 
     In a tuned ring omega_q^2 = k + 2 eta_c (1 - cos q), q = 2 pi m / n: a band of width 4 eta_c.
@@ -186,11 +188,11 @@ def _modes(chain: Chain) -> LinearModes:
 
 
 def localization_length(
-    disorder: Any,
-    coupling: Any,
+    disorder: ScalarLike,
+    coupling: ScalarLike,
     position: ScalarLike = 0.0,
     *,
-    seed: Any = 0,
+    seed: int = 0,
     length: int = 100_000,
     distribution: str = "uniform",
 ) -> Float[Array, ""]:

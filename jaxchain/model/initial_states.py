@@ -197,7 +197,7 @@ def equation_10(
     )
 
 
-def on_the_belt(chain: Chain, mass: Any = None) -> State:
+def on_the_belt(chain: Chain, mass: int | None = None) -> State:
     """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
 
     With one mass and dry friction it lies on the stick-slip cycle.

@@ -43,7 +43,7 @@ class Fronts(eqx.Module):
 
 @eqx.filter_jit
 def front_positions(
-    amplitude: Float[Array, "*batch n"], threshold: Any, middle: Any = None
+    amplitude: Float[Array, "*batch n"], threshold: ScalarLike, middle: int | None = None
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """(right, left): the distances of the fronts from mass `middle` on a ring, in masses.
 

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from .._checks import check_kind, check_positive_number, check_whole, shown
+from .._types import ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain, map_numbers, paper_chain
 from ..model.friction import AbstractFriction, TanhFriction
@@ -330,7 +331,7 @@ def plot_friction_law(
     friction: Chain | AbstractFriction,
     *,
     ax: Axes | None = None,
-    reach: Any = None,
+    reach: ScalarLike | None = None,
     scales: Scales | None = None,
 ) -> Axes:
     """Draws F(w) / P over the relative velocity w = v - v_d: the dry law and the smoothed one.
@@ -372,14 +373,14 @@ def plot_friction_law(
     width = float(contact.width) if smoothed else 0.0
     if reach is None:
         reach = max(1.25 * abs(speed), 5 * width, 1.0)
-    else:
-        check_positive_number("reach", reach, "a speed, such as 2.0.")
+    check_positive_number("reach", reach, "a speed, such as 2.0.")
+    reach = float(reach)
     across, x_label = axis("relative_velocity", {"units": SPEED}, scales)
     up, y_label = axis("friction_force", {"units": "P"}, scales)
     unit = "" if scales is None else " m/s"
     with on_axes(ax) as axes:
         law = contact.law if smoothed else contact
-        _draw_curves(axes, law, contact if smoothed else None, float(reach), (across, up, unit))
+        _draw_curves(axes, law, contact if smoothed else None, reach, (across, up, unit))
         axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
         axes.set_xlim(-across * reach, across * reach)
         axes.set_xlabel(x_label)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from .._checks import (
     shown,
 )
 from .._spelling import did_you_mean
+from .._types import ArrayLike, ScalarLike, StateLike
 from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_model, as_state
 from ..model.chain import Chain
@@ -39,7 +41,7 @@ from ..model.parameters import SPEED
 from ..model.units import Scales
 from ..observers.samples import Trajectory
 from ..observers.section import Section
-from ..simulation.method import custom_solver
+from ..simulation.method import Solver, custom_solver
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION
 from .model import zigzag
@@ -69,8 +71,8 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 
 
 def plot_time_series(
-    times: Any,
-    states: Any,
+    times: ArrayLike,
+    states: StateLike | Simulation,
     model: AbstractModel | None = None,
     *,
     y: str | int = 0,
@@ -118,8 +120,8 @@ def plot_time_series(
 
 
 def plot_phase_portrait(
-    times: Any,
-    states: Any,
+    times: ArrayLike,
+    states: StateLike | Simulation,
     model: AbstractModel | None = None,
     *,
     x: str | int = 0,
@@ -158,8 +160,8 @@ def plot_phase_portrait(
 
 
 def plot_space_time(
-    times: Any,
-    states: Any,
+    times: ArrayLike,
+    states: StateLike | Simulation,
     model: AbstractModel | None = None,
     *,
     y: str | int = 0,
@@ -283,7 +285,7 @@ def _draw_curves(
     return axes
 
 
-def sticking(model: AbstractModel, states: Any) -> np.ndarray:
+def sticking(model: AbstractModel, states: StateLike) -> np.ndarray:
     """Which masses stick at each time, of shape (times, n).
 
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
@@ -349,13 +351,13 @@ def _sticks(model: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
 
 
 def loop(
-    model: Any,
-    state: Any,
+    model: AbstractModel,
+    state: StateLike,
     *,
-    frames: Any = 60,
-    solver: Any = None,
-    longest: Any = 100.0,
-    tolerance: Any = 1e-2,
+    frames: int = 60,
+    solver: Solver | None = None,
+    longest: ScalarLike = 100.0,
+    tolerance: ScalarLike = 1e-2,
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """A whole number of periods of the vibration through `state`, for a film in a loop.
 
@@ -409,12 +411,12 @@ def loop(
 
 
 def animate(
-    times: Any,
-    states: Any,
-    model: Any,
+    times: ArrayLike,
+    states: StateLike | Simulation,
+    model: Chain,
     *,
     masses: Any = None,
-    frames_per_second: Any = 20,
+    frames_per_second: ScalarLike = 20,
 ) -> FuncAnimation:
     """Animates the chain on its moving belt, with the displacements and the phase plane below.
 
@@ -448,20 +450,20 @@ def animate(
         ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).stat().st_size < 30_000)
         True
     """
-    times, states = _checked_film(times, states, model)
+    moments, motion = _checked_film(times, states, model)
     check_positive_number("frames_per_second", frames_per_second, "20 is usual.")
-    picked = _livelier(model, states[0], masses)
+    picked = _livelier(model, motion[0], masses)
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(PAGE_WIDTH, 2.9), layout="constrained")
         page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore[reportOptionalMemberAccess, reportCallIssue]
         parts: Any = page.subplot_mosaic("AAA;BBC", height_ratios=(0.9, 1.0))
-        film = _Film(parts["A"], model, times, states, picked)
+        film = _Film(parts["A"], model, moments, motion, picked)
         film.add_curves(parts["B"], parts["C"])
         film.explain()
         page.draw_without_rendering()  # settles the layout once
         page.set_layout_engine("none")
     return _Animation(
-        page, film.show, frames=len(times), interval=1000.0 / frames_per_second, blit=False
+        page, film.show, frames=len(moments), interval=1000.0 / frames_per_second, blit=False
     )
 
 
@@ -481,7 +483,7 @@ class _Animation(FuncAnimation):
         super().save(filename, writer, *arguments, **options)
 
 
-def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
+def save_gif(animation: FuncAnimation, path: str | PathLike[str], dpi: int = 100) -> Path:
     """Writes an animation as a repeating GIF with few colours.
 
     **Arguments:** `animation`, from `animate`; `path` of the file; `dpi`, dots per inch.
@@ -521,7 +523,12 @@ def save_gif(animation: FuncAnimation, path: Any, dpi: Any = 100) -> Path:
 
 
 def film_strip(
-    times: Any, states: Any, model: Any, *, stills: Any = 8, masses: Any = None
+    times: ArrayLike,
+    states: StateLike | Simulation,
+    model: Chain,
+    *,
+    stills: int = 8,
+    masses: Any = None,
 ) -> Figure:
     """Stills of `animate` below each other, at equal intervals from the first time.
 
@@ -543,23 +550,23 @@ def film_strip(
         >>> [axes.get_title(loc="right")[-4:] for axes in page.axes]  # the time of each
         ['0.00', '2.00', '4.00']
     """
-    times, states = _checked_film(times, states, model)
+    moments, motion = _checked_film(times, states, model)
     check_whole("stills", stills)
-    picked = _livelier(model, states[0], masses)
-    if stills > len(times):
+    picked = _livelier(model, motion[0], masses)
+    if stills > len(moments):
         raise ValueError(
-            f"Argument `stills` must be at most the number of frames, {len(times)}, but is "
+            f"Argument `stills` must be at most the number of frames, {len(moments)}, but is "
             f"{stills}."
         )
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(PAGE_WIDTH, 0.65 * stills), layout="constrained")
         panels = page.subplots(stills, 1, squeeze=False).ravel()
         for still, axes in enumerate(panels):
-            film = _Film(axes, model, times, states, picked)
-            film.show(still * len(times) // stills)
+            film = _Film(axes, model, moments, motion, picked)
+            film.show(still * len(moments) // stills)
             if still == 0:
                 film.explain()
-            title = rf"$\tau$ = {times[still * len(times) // stills]:.2f}"
+            title = rf"$\tau$ = {moments[still * len(moments) // stills]:.2f}"
             axes.set_title(title, loc="right", pad=1.5)
     return page
 

@@ -31,6 +31,7 @@ from .event_driven import EventDriven
 from .plan import AbstractPlan
 from .smoothed import SmoothedPlan
 
+Solver: TypeAlias = dfx.AbstractSolver | EventDriven
 Start: TypeAlias = State | Callable[[], State]  # or what makes it, called only if it is needed
 # Longer steps have no advantage for a vibration of period about 2 pi.
 MAX_STEP = 0.5
@@ -70,10 +71,10 @@ class Method(PrintedAsCall, eqx.Module):
         Method(solver=Rodas5P, rtol=1e-09, atol=1e-10, max_step=0.5)
     """
 
-    solver: dfx.AbstractSolver | EventDriven | None = None
-    rtol: Any = None
-    atol: Any = None
-    max_step: Any = None
+    solver: Solver | None = None
+    rtol: ScalarLike | None = None
+    atol: ScalarLike | None = None
+    max_step: ScalarLike | None = None
     max_steps: int | None = eqx.field(static=True, default=None)
 
     @classmethod

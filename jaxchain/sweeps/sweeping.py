@@ -22,11 +22,13 @@ from typing import TYPE_CHECKING, Any
 import diffrax as dfx
 import jax
 import jax.tree_util as jtu
+from jaxtyping import PyTree
 from tqdm import tqdm
 
 from .._checks import check_count, check_flag, check_kind, shown
 from .._limits import MOST_LANES, MOST_STORED
 from .._types import ScalarLike, State
+from ..model.model import AbstractModel
 from ..result import ended_as, ended_well, message
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
 from ..simulation.method import Method
@@ -61,13 +63,13 @@ class SweepInterrupted(KeyboardInterrupt):
 
 
 def sweep(
-    model: Any,
+    model: AbstractModel,
     initial: State | Callable[..., State],
     t1: ScalarLike,
     *,
     over: Mapping[str, Any],
     vary: Callable[..., Any] | None = None,
-    observe: Any = None,
+    observe: PyTree = None,
     t0: ScalarLike = 0.0,
     method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,

@@ -1,5 +1,7 @@
 """Edge states: the unstable cycle for one mass, refused input, and reported failures."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -257,7 +259,7 @@ def test_edges_between_one_two_and_three_vibrating_masses():
 
 
 LEFT, RIGHT = ([-0.8], [0.6]), ([0.5], [0.6])
-BETWEEN = {"classify": Well(), "window": 2.0, "patience": 500.0}
+BETWEEN: dict[str, Any] = {"classify": Well(), "window": 2.0, "patience": 500.0}
 
 
 @pytest.mark.slow

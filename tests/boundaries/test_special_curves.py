@@ -438,8 +438,9 @@ def test_another_mass_sticks_beyond_its_grazing_through_a_change_of_order():
     cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 300.0), mass=0)
     point = find_special_cycle(cycle, kind="grazing", mass=1, parameter="coupling")
     # A belt that runs the other way.
-    back = chain.with_(belt_speed=-0.6), (tuple(-part for part in cycle.state), cycle.period)
-    mirrored = find_special_cycle(*back[::-1], kind="grazing", mass=1, parameter="coupling")
+    back = chain.with_(belt_speed=-0.6)
+    other = tuple(-part for part in cycle.state), cycle.period
+    mirrored = find_special_cycle(other, back, kind="grazing", mass=1, parameter="coupling")
     assert float(mirrored.value) == pytest.approx(float(point.value), abs=1e-10)
     curve = continue_special(point, "belt_speed", bounds={"belt_speed": (0.3, 2.0)})
     assert curve.ended == ("left_bounds", "another stick onset")

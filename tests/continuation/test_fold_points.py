@@ -1,5 +1,7 @@
 """Folds as roots: closed forms, a thousand lanes, derivatives, and points that are not folds."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -114,4 +116,4 @@ def test_bad_input_is_named():
     with pytest.raises(ValueError, match="`u` must be a vector"):
         fold_point(hysteresis, 0.5, 0.4)
     with pytest.raises(ValueError, match="`p` must be one number"):
-        fold_point(hysteresis, [0.5], [0.4])
+        fold_point(hysteresis, [0.5], cast(Any, [0.4]))

@@ -1,5 +1,7 @@
 """Least-cost designs: optimality by three witnesses, and event-driven runs that confirm them."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -192,7 +194,7 @@ def test_bad_input_is_named(options, message):
 @pytest.mark.parametrize("name", ["belt_speed", "margin", "time"])
 def test_a_trial_names_bad_input(name):
     with pytest.raises(ValueError, match=f"`{name}` must be positive"):
-        try_boundary(ONE, **{"belt_speed": 1.0, name: -1.0})
+        try_boundary(ONE, **cast(Any, {"belt_speed": 1.0, name: -1.0}))
 
 
 @pytest.mark.exhaustive

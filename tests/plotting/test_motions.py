@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -69,9 +70,9 @@ def test_pictures_of_a_run_take_the_same_arguments_in_the_same_order():
     for draw in (plot_time_series, plot_phase_portrait, plot_space_time, animate, film_strip):
         order = inspect.signature(draw).parameters
         positional = [name for name, p in order.items() if p.kind is not p.KEYWORD_ONLY]
-        assert positional == ["times", "states", "chain"]
-    with pytest.raises(ValueError, match="`chain` must be a `Chain`, but is a tuple"):
-        animate(paper_chain(3), TIMES, STATES)
+        assert positional == ["times", "states", "model"]
+    with pytest.raises(ValueError, match="`model` must be a `Chain`, but is a tuple"):
+        animate(*cast(Any, (paper_chain(3), TIMES, STATES)))
 
 
 def test_the_phase_plane_has_velocity_over_displacement():
@@ -150,8 +151,11 @@ def test_space_and_time_show_one_component_of_all_cells():
         (lambda: plot_time_series(TIMES, FOUR, MODES, y=4), "its number from 0, but is 4"),
         (lambda: plot_phase_portrait(TIMES, FOUR[:3], MODES), "has the 4 components x, y, x', y'"),
         (lambda: plot_time_series(TIMES, FOUR, MODES, scales=SCALES), "`scales` is for a"),
-        (lambda: animate(TIMES, STATES, MODES), "`chain` must be a `Chain`, but is a ModeC"),
-        (lambda: loop(MODES, STATES), "`chain` must be a `Chain`, but is a ModeC"),
+        (
+            lambda: animate(TIMES, STATES, cast(Any, MODES)),
+            "`model` must be a `Chain`, but is a ModeC",
+        ),
+        (lambda: loop(MODES, STATES), "`model` must be a `Chain`, but is a ModeC"),
     ],
 )
 def test_what_cells_do_not_have_is_refused(draw, problem):
