@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from ._limits import LEAST_POSITIVE, MOST_COUNT
 from ._spelling import did_you_mean
-from ._types import ArrayLike
+from ._types import ArrayLike, Given
 
 # Characters of a value that an error shows.
 _LONGEST = 60
@@ -96,15 +96,15 @@ def to_float(value: Any, name: str = "", remedy: str = "") -> Float[Array, "..."
     raise _not_real(name, value, remedy)
 
 
-def named(name: str, remedy: str = "") -> Callable[[ArrayLike], Float[Array, "..."]]:
+def named(name: str, remedy: str = "") -> Callable[[Given[ArrayLike]], Float[Array, "..."]]:
     """`to_float` as the converter of a field; its errors give the name of the field."""
     return functools.partial(to_float, name=name, remedy=remedy)
 
 
-def optional(name: str) -> Callable[[ArrayLike | None], Float[Array, "..."] | None]:
+def optional(name: str) -> Callable[[Given[ArrayLike | None]], Float[Array, "..."] | None]:
     """`named` for a field that may be None."""
 
-    def convert(value: ArrayLike | None) -> Float[Array, "..."] | None:
+    def convert(value: Given[ArrayLike | None]) -> Float[Array, "..."] | None:
         return None if value is None else to_float(value, name)
 
     return convert

@@ -25,7 +25,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._types import ArrayLike, ScalarLike, State
+from .._types import ArrayLike, Given, ScalarLike, State
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS
 from ..continuation.implicit import attach_derivative
@@ -578,14 +578,14 @@ class Blow(Outcome):
 
 def gentlest_blow(
     chain: Chain,
-    masses: int | Sequence[int] | None = None,
+    masses: Given[int | Sequence[int] | None] = None,
     *,
-    direction: ArrayLike | None = None,
-    starts: int = 8,
-    steps: int = 40,
-    tolerance: ScalarLike = 1e-5,
+    direction: Given[ArrayLike | None] = None,
+    starts: Given[int] = 8,
+    steps: Given[int] = 40,
+    tolerance: Given[ScalarLike] = 1e-5,
     optimiser: optax.GradientTransformation | None = None,
-    tries: int = 0,
+    tries: Given[int] = 0,
 ) -> Blow:
     """The smallest velocity kick that takes steady sliding to vibration.
 

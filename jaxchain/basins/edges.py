@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_kind, check_positive_number, is_traced, shown, to_float
 from .._final import final
 from .._internals import nondifferentiable
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..cycles.floquet import LimitCycle, check_force
 from ..cycles.limit_cycle import find_limit_cycle
 from ..model.arguments import as_chain, as_model, as_state
@@ -436,18 +436,18 @@ class EdgeState(Outcome):
 
 def edge_state(
     model: AbstractModel,
-    quiet: StateLike,
-    vibrating: StateLike,
+    quiet: Given[StateLike],
+    vibrating: Given[StateLike],
     *,
-    classify: AbstractClassifier | None = None,
-    time: ScalarLike = 1000.0,
-    window: ScalarLike = 20.0,
-    patience: ScalarLike = 20000.0,
-    near: ScalarLike = 1e-10,
-    far: ScalarLike = 1e-6,
-    tolerance: ScalarLike = 1e-8,
-    rtol: ScalarLike = RTOL,
-    solver: Solver | None = None,
+    classify: Given[AbstractClassifier | None] = None,
+    time: Given[ScalarLike] = 1000.0,
+    window: Given[ScalarLike] = 20.0,
+    patience: Given[ScalarLike] = 20000.0,
+    near: Given[ScalarLike] = 1e-10,
+    far: Given[ScalarLike] = 1e-6,
+    tolerance: Given[ScalarLike] = 1e-8,
+    rtol: Given[ScalarLike] = RTOL,
+    solver: Given[Solver | None] = None,
 ) -> EdgeState:
     """The state on the edge between the basins of two starts, by bisection and edge tracking.
 

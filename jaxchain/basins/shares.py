@@ -31,7 +31,7 @@ from .._checks import (
     shown,
 )
 from .._statistics import student_reach, wilson
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..chaos.classification import verdicts
 from ..model.arguments import as_chain, as_model
 from ..model.model import AbstractModel
@@ -440,12 +440,12 @@ _FIRST = 32
 
 
 def basin_shares(
-    model: AbstractModel,
-    region: AbstractRegion,
+    model: Given[AbstractModel],
+    region: Given[AbstractRegion],
     over: Mapping[str, Any] | None = None,
     *,
-    half_width: ScalarLike = 0.01,
-    classify: AbstractClassifier | None = None,
+    half_width: Given[ScalarLike] = 0.01,
+    classify: Given[AbstractClassifier | None] = None,
     t1: ScalarLike = 1000.0,
     points: Literal["sobol", "random"] = "sobol",
     replicates: int = 32,

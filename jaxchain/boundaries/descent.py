@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_number, check_positive_number, check_whole
 from .._final import final
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, check_descent, descend
 from ..model.arguments import as_chain
@@ -45,10 +45,10 @@ class HopfDescent(Outcome):
 
 def hopf_by_descent(
     chain: Chain,
-    start: PyTree | None = None,
+    start: Given[PyTree | None] = None,
     optimiser: optax.GradientTransformation | None = None,
-    steps: int = 1000,
-    tolerance: ScalarLike = 1e-10,
+    steps: Given[int] = 1000,
+    tolerance: Given[ScalarLike] = 1e-10,
 ) -> HopfDescent:
     """A Hopf speed by gradient descent on g(v_d)^2, g the growth rate of steady sliding.
 
@@ -138,13 +138,13 @@ class FoldDescent(Outcome):
 
 
 def fold_by_descent(
-    chain: Chain,
-    mass: int | None = None,
+    chain: Given[Chain],
+    mass: Given[int | None] = None,
     *,
-    start: PyTree | None = None,
+    start: Given[PyTree | None] = None,
     optimiser: optax.GradientTransformation | None = None,
-    steps: int = 60,
-    tolerance: ScalarLike = 1e-3,
+    steps: Given[int] = 60,
+    tolerance: Given[ScalarLike] = 1e-3,
 ) -> FoldDescent:
     """The fold of `fold_belt_speed` by gradient ascent: the maximum belt speed of a vibration.
 

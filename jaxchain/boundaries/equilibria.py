@@ -32,7 +32,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import Branch, Labels, joined
 from ..continuation.damped_newton import check_tolerance, search
@@ -225,11 +225,11 @@ def lyapunov_coefficient(
 
 
 def find_equilibrium(
-    model: AbstractModel,
-    guess: StateLike | None = None,
+    model: Given[AbstractModel],
+    guess: Given[StateLike | None] = None,
     *,
-    tolerance: ScalarLike = 1e-12,
-    max_steps: int = 50,
+    tolerance: Given[ScalarLike] = 1e-12,
+    max_steps: Given[int] = 50,
     throw: bool = True,
 ) -> Equilibrium:
     """The equilibrium of a model near a state, stable or not, by damped Newton steps.
@@ -397,14 +397,14 @@ def _hopf_residual(u: Array, system: HopfSystem) -> Array:
 
 
 def find_hopf_point(
-    model: AbstractModel,
+    model: Given[AbstractModel],
     parameter: str,
-    guess: StateLike | None = None,
+    guess: Given[StateLike | None] = None,
     *,
     bounds: tuple[Any, Any] | None = None,
-    frequency: ScalarLike | None = None,
-    tolerance: ScalarLike = 1e-12,
-    max_steps: int = 50,
+    frequency: Given[ScalarLike | None] = None,
+    tolerance: Given[ScalarLike] = 1e-12,
+    max_steps: Given[int] = 50,
     throw: bool = True,
 ) -> HopfPoint:
     """The Hopf point of an equilibrium near a state and the present value of one number.
@@ -614,15 +614,15 @@ def _hopf_test(u: np.ndarray, p: float, tangent: np.ndarray, values: Any) -> flo
 
 
 def continue_equilibrium(
-    model: AbstractModel,
-    guess: StateLike | None,
+    model: Given[AbstractModel],
+    guess: Given[StateLike | None],
     parameter: str,
     bounds: tuple[Any, Any],
     *,
-    direction: ScalarLike | None = None,
-    step: ScalarLike | None = None,
-    max_step: ScalarLike = 0.02,
-    max_points: int = 1000,
+    direction: Given[ScalarLike | None] = None,
+    step: Given[ScalarLike | None] = None,
+    max_step: Given[ScalarLike] = 0.02,
+    max_points: Given[int] = 1000,
     **options: Any,
 ) -> Branch:
     """Follows an equilibrium as a number of the model changes, around folds, with its Hopf points.

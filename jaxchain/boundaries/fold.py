@@ -38,7 +38,7 @@ from jaxtyping import Array, Bool, Float, Int
 from .._checks import check_concrete, check_flag
 from .._final import final
 from .._progress import progress_bar
-from .._types import PerMass, State
+from .._types import Given, PerMass, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import where
 from ..continuation.elimination import solve
@@ -509,7 +509,7 @@ class Fold(Outcome):
     mass: int = eqx.field(static=True)
 
 
-def fold_belt_speed(chain: Chain, mass: int | None = None) -> Float[Array, ""]:
+def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives.
 
     This is the fold (saddle-node of cycles) at which the stick-slip cycle of mass `mass` and the
@@ -579,7 +579,7 @@ def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[
     return _closure(*unknowns(shooting, jnp.append(q, z)), shooting)
 
 
-def find_fold(chain: Chain, mass: int | None = None) -> Fold:
+def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
     Arguments, errors and transformations are those of `fold_belt_speed`.  The whole orbit has
@@ -678,7 +678,11 @@ _AT_ONCE = 8
 
 
 def fold_belt_speeds(
-    chain: Chain, mass: int | None = None, *, over: Mapping[str, Any], progress: bool = False
+    chain: Given[Chain],
+    mass: Given[int | None] = None,
+    *,
+    over: Mapping[str, Any],
+    progress: bool = False,
 ) -> Dataset:
     """`fold_belt_speed` for every combination of the values in `over`, on every device.
 

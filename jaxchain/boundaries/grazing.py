@@ -55,7 +55,7 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Bool, Float, Int
 
 from .._final import final
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
 from ..continuation.elimination import solve
@@ -526,7 +526,7 @@ class Grazing(Outcome):
         return self.belt_speed + slopes.shift(width)
 
 
-def dry_fold_belt_speed(chain: Chain, mass: int | None = None) -> Float[Array, ""]:
+def dry_fold_belt_speed(chain: Chain, mass: Given[int | None] = None) -> Float[Array, ""]:
     """The greatest belt speed at which the vibration of one mass survives, for dry friction.
 
     This is the limit of `fold_belt_speed` for width 0, computed directly: the grazing-sliding fold
@@ -550,7 +550,7 @@ def dry_fold_belt_speed(chain: Chain, mass: int | None = None) -> Float[Array, "
     return find_grazing(chain, mass).belt_speed
 
 
-def find_grazing(chain: Chain, mass: int | None = None) -> Grazing:
+def find_grazing(chain: Chain, mass: Given[int | None] = None) -> Grazing:
     """The fold of `dry_fold_belt_speed` with its cycle.
 
     Arguments, errors and transformations are those of `dry_fold_belt_speed`.  If another mass

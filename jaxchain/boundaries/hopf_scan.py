@@ -47,7 +47,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from ..continuation.damped_newton import linearised, newton, solve
 from ..continuation.implicit import attach_derivative
 from ..cycles.limit_cycle import Guess
@@ -200,7 +200,7 @@ class GeneralisedHopf(Outcome):
 
 
 def generalised_hopf(
-    chain: Chain, parameter: str, low: ScalarLike, high: ScalarLike
+    chain: Chain, parameter: Given[str], low: Given[ScalarLike], high: Given[ScalarLike]
 ) -> GeneralisedHopf:
     """The generalised Hopf (Bautin) point of one mass: l1 = 0, the end of the fold.
 
@@ -536,7 +536,7 @@ class HopfPoints(Printed, eqx.Module):
     belt_speeds: tuple[float, float] = eqx.field(static=True)
 
 
-def hopf_points(chain: Chain, belt_speeds: ArrayLike = (0.0, GREATEST_SPEED)) -> HopfPoints:
+def hopf_points(chain: Chain, belt_speeds: Given[ArrayLike] = (0.0, GREATEST_SPEED)) -> HopfPoints:
     """Every Hopf point of steady sliding at belt speeds between `belt_speeds` = (low, high).
 
     The default upper bound is 1e6, as in `hopf_belt_speed`.
@@ -652,7 +652,7 @@ def guess_from_hopf(
     chain: Chain,
     points: HopfPoints,
     index: int = 0,
-    amplitude: ScalarLike | None = None,
+    amplitude: Given[ScalarLike | None] = None,
     mass: int | None = None,
 ) -> Guess:
     """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.

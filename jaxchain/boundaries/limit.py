@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
 from .._final import final
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_summits, one_mass, speed_scale
 from ..model.chain import Chain
@@ -55,11 +55,11 @@ class Extrapolation(Printed, eqx.Module):
 
 
 def extrapolate(
-    values: ArrayLike,
-    widths: ArrayLike,
+    values: Given[ArrayLike],
+    widths: Given[ArrayLike],
     *,
-    scale: ScalarLike = 1.0,
-    accuracy: ScalarLike = _ACCURACY,
+    scale: Given[ScalarLike] = 1.0,
+    accuracy: Given[ScalarLike] = _ACCURACY,
 ) -> Extrapolation:
     """Extrapolates `values` at several widths of smoothed friction to width 0.
 
@@ -163,7 +163,7 @@ def check_widths(widths: Any) -> Float[Array, " widths"]:
 
 
 def extrapolated_fold(
-    chain: Chain, mass: int | None = None, widths: ArrayLike | None = None
+    chain: Chain, mass: Given[int | None] = None, widths: Given[ArrayLike | None] = None
 ) -> Extrapolation:
     """`fold_belt_speed` for width 0, extrapolated from several widths, with an error bar.
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import as_array, check_finite, check_flag, check_kind, is_traced, shown, to_float
 from .._final import final
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_model, as_parameter
@@ -203,12 +203,12 @@ def slopes_of(values: Array, within: Array) -> Complex[Array, " m"]:
 
 
 def complex_modes(
-    model: AbstractModel,
-    guess: StateLike | None = None,
+    model: Given[AbstractModel],
+    guess: Given[StateLike | None] = None,
     *,
     over: Mapping[str, Any] | None = None,
-    tolerance: ScalarLike = 1e-12,
-    max_steps: int = 50,
+    tolerance: Given[ScalarLike] = 1e-12,
+    max_steps: Given[int] = 50,
     throw: bool = True,
 ) -> ComplexModes:
     """Frequencies, growth rates and shapes of the modes of a model, over one of its parameters.

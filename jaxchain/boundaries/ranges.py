@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from .._checks import check_flag, check_positive_number, is_traced, to_float
 from .._final import final
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..model.chain import Chain
 from ..model.initial_states import check_mass, on_the_belt
 from ..observers.amplitude import Amplitude
@@ -93,7 +93,7 @@ class StabilityRange(Outcome):
 
 
 def stability_range(
-    chain: Chain, mass: int | None = None, *, error_bars: bool = False
+    chain: Chain, mass: Given[int | None] = None, *, error_bars: Given[bool] = False
 ) -> StabilityRange:
     """Hopf speed, fold and the bistable range between them, for one vibrating mass.
 
@@ -187,11 +187,11 @@ class BoundaryTrial(Printed, eqx.Module):
 
 def try_boundary(
     chain: Chain,
-    belt_speed: ScalarLike,
-    mass: int | None = None,
+    belt_speed: Given[ScalarLike],
+    mass: Given[int | None] = None,
     *,
-    margin: ScalarLike = 0.01,
-    time: ScalarLike = 400.0,
+    margin: Given[ScalarLike] = 0.01,
+    time: Given[ScalarLike] = 400.0,
 ) -> BoundaryTrial:
     """Tests a boundary by two event-driven runs with dry friction.
 

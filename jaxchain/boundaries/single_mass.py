@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_concrete, check_kind, check_positive_number
 from .._final import final
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..cycles.branches import continue_cycle
 from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_mass
@@ -55,7 +55,7 @@ class OneMassBranch(Printed, eqx.Module):
 
 
 def one_mass_branch(
-    chain: Chain, lowest: ScalarLike = 0.1, fold: Fold | None = None
+    chain: Chain, lowest: Given[ScalarLike] = 0.1, fold: Fold | None = None
 ) -> OneMassBranch:
     """Every cycle of one mass, stable or not, with smoothed friction.
 

@@ -49,7 +49,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import ENDINGS, Branch
 from ..continuation.damped_newton import check_tolerance, factorise, solve
@@ -456,13 +456,13 @@ class SpecialCycle(Outcome):
 
 def find_special_cycle(
     point: Any,
-    model: AbstractModel | None = None,
+    model: Given[AbstractModel | None] = None,
     *,
-    kind: str | None = None,
-    mass: int | None = None,
-    parameter: str = "belt_speed",
-    tolerance: ScalarLike = _TOLERANCE,
-    max_steps: int = 30,
+    kind: Given[str | None] = None,
+    mass: Given[int | None] = None,
+    parameter: Given[str] = "belt_speed",
+    tolerance: Given[ScalarLike] = _TOLERANCE,
+    max_steps: Given[int] = 30,
     throw: bool = True,
 ) -> SpecialCycle:
     """The special cycle near a given point, of the same kind, for other numbers of the model.
@@ -841,13 +841,13 @@ class SpecialCurve(Printed):
 
 def continue_special(
     point: Any,
-    second: str,
+    second: Given[str],
     *,
     bounds: Mapping[str, tuple[Any, Any]] | None = None,
-    step: ScalarLike = 0.05,
-    max_step: ScalarLike = 0.1,
-    max_points: int = 200,
-    tolerance: ScalarLike = 1e-9,
+    step: Given[ScalarLike] = 0.05,
+    max_step: Given[ScalarLike] = 0.1,
+    max_points: Given[int] = 200,
+    tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> SpecialCurve:
     """Follows a special point as two numbers of the model change together, in both directions.

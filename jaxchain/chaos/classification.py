@@ -31,7 +31,7 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
-from .._types import ArrayLike, ScalarLike, StateLike
+from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
 from ..model.arguments import as_model, as_state
@@ -766,7 +766,7 @@ _INSTEAD = "use `lyapunov_spectrum` or `simulate`."
 _NOISE = "it holds standard deviations, such as (1e-8, 1e-3)."
 
 
-def verdict(model: AbstractModel, initial: StateLike, **settings: Any) -> Verdict:
+def verdict(model: AbstractModel, initial: Given[StateLike], **settings: Any) -> Verdict:
     """Whether the motion from `initial` is steady, periodic, quasi-periodic or chaotic.
 
     **Arguments:** `model`; `initial`, the pair (x, v), both of shape (n,), or all m arrays of
@@ -796,20 +796,20 @@ def verdict(model: AbstractModel, initial: StateLike, **settings: Any) -> Verdic
 
 def verdicts(
     model: AbstractModel,
-    initials: ArrayLike,
+    initials: Given[ArrayLike],
     *,
     noise: Sequence[float] = (1e-8, 1e-3),
     seeds: Any = 3,
     first: Any = 2000.0,
-    longest: ScalarLike = 32000.0,
-    exponent_time: ScalarLike = 10000.0,
-    exponent_runs: int = 3,
-    count: int = 3,
-    window: ScalarLike = 50.0,
-    solver: Solver | None = None,
-    rtol: ScalarLike = 1e-6,
+    longest: Given[ScalarLike] = 32000.0,
+    exponent_time: Given[ScalarLike] = 10000.0,
+    exponent_runs: Given[int] = 3,
+    count: Given[int] = 3,
+    window: Given[ScalarLike] = 50.0,
+    solver: Given[Solver | None] = None,
+    rtol: Given[ScalarLike] = 1e-6,
     criteria: Criteria | None = None,
-    lanes: int = 16,
+    lanes: Given[int] = 16,
     key: int = 0,
     progress: bool = False,
     description: str = "verdicts",

@@ -30,7 +30,7 @@ from .._checks import (
 from .._final import final
 from .._progress import progress_bar
 from .._statistics import student_reach
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.chain import Chain
 from ..model.model import AbstractModel
@@ -333,21 +333,21 @@ _MOST_BLOCKS = 10**6
 
 
 def lyapunov_spectrum(
-    model: AbstractModel,
-    initial: StateLike,
-    t1: ScalarLike,
+    model: Given[AbstractModel],
+    initial: Given[StateLike],
+    t1: Given[ScalarLike],
     *,
-    count: int | None = None,
-    transient: ScalarLike = 0.0,
-    interval: ScalarLike | None = None,
-    blocks: int = 20,
+    count: Given[int | None] = None,
+    transient: Given[ScalarLike] = 0.0,
+    interval: Given[ScalarLike | None] = None,
+    blocks: Given[int] = 20,
     method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
-    rtol: ScalarLike | None = None,
-    atol: ScalarLike | None = None,
-    max_step: ScalarLike | None = None,
-    max_steps: int | None = None,
-    seed: int = 0,
+    rtol: Given[ScalarLike | None] = None,
+    atol: Given[ScalarLike | None] = None,
+    max_step: Given[ScalarLike | None] = None,
+    max_steps: Given[int | None] = None,
+    seed: Given[int] = 0,
     progress: bool = False,
     throw: bool = True,
 ) -> LyapunovSpectrum:

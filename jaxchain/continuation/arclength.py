@@ -26,7 +26,7 @@ from .._checks import (
     require_x64,
     shown,
 )
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from .branch import Branch, BranchRecorder, Point, SpecialPoint
 from .corrector import Corrector
 from .damped_newton import check_vector, check_weights
@@ -295,24 +295,24 @@ def make_corrector(
 
 def continue_branch(
     residual: Callable[..., Any],
-    start: ArrayLike,
-    parameter: ScalarLike,
+    start: Given[ArrayLike],
+    parameter: Given[ScalarLike],
     args: PyTree = None,
     *,
-    direction: ArrayLike = 1,
-    step: ScalarLike = 0.05,
-    min_step: ScalarLike = 1e-7,
-    max_step: ScalarLike = 0.5,
-    max_points: int = 200,
+    direction: Given[ArrayLike] = 1,
+    step: Given[ScalarLike] = 0.05,
+    min_step: Given[ScalarLike] = 1e-7,
+    max_step: Given[ScalarLike] = 0.5,
+    max_points: Given[int] = 200,
     bounds: tuple[Any, Any] = (-np.inf, np.inf),
-    weights: ArrayLike | None = None,
+    weights: Given[ArrayLike | None] = None,
     tests: Mapping[str, Test] | None = None,
     stop: Callable[..., Any] | None = None,
     progress: Callable[[int, Point], Any] | None = None,
     value_and_jacobian: Callable[..., Any] | None = None,
-    tolerance: ScalarLike = 1e-10,
-    max_turn: ScalarLike = 0.25,
-    max_bend: ScalarLike = 3e-3,
+    tolerance: Given[ScalarLike] = 1e-10,
+    max_turn: Given[ScalarLike] = 0.25,
+    max_bend: Given[ScalarLike] = 3e-3,
     keep_part: bool = True,
 ) -> Branch:
     """Follows the solutions of F(u, p) = 0 from (start, parameter), around folds, on the host.
@@ -442,11 +442,11 @@ def switch_branch(
     point: SpecialPoint,
     args: PyTree = None,
     *,
-    side: int = 1,
-    step: ScalarLike = 1e-2,
-    weights: ArrayLike | None = None,
+    side: Given[int] = 1,
+    step: Given[ScalarLike] = 1e-2,
+    weights: Given[ArrayLike | None] = None,
     value_and_jacobian: Callable[..., Any] | None = None,
-    tolerance: ScalarLike = 1e-10,
+    tolerance: Given[ScalarLike] = 1e-10,
 ) -> Switched:
     """A point on the other branch through a simple branch point, to start `continue_branch` from.
 

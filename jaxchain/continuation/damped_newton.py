@@ -19,7 +19,7 @@ from .._checks import (
     require_x64,
     to_float,
 )
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from ..result import Outcome, SearchResult
 from .elimination import factor, substitute
 
@@ -246,12 +246,12 @@ def where(condition: Any, this: PyTree, other: PyTree) -> PyTree:
 
 def newton(
     residual: Callable[[Float[Array, " m"], PyTree], Float[Array, " m"]],
-    start: ArrayLike,
+    start: Given[ArrayLike],
     args: PyTree = None,
     *,
-    tolerance: ScalarLike = 1e-10,
-    max_steps: int = 30,
-    weights: ArrayLike | None = None,
+    tolerance: Given[ScalarLike] = 1e-10,
+    max_steps: Given[int] = 30,
+    weights: Given[ArrayLike | None] = None,
 ) -> Root:
     """Solves F(u) = 0 by damped Newton steps.
 

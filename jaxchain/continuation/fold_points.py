@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_number, to_float
 from .._final import final
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from ..result import Outcome, SearchResult
 from .damped_newton import arrays, check_tolerance, check_vector, search
 
@@ -123,12 +123,12 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
 
 def fold_point(
     residual: Callable[..., Any],
-    u: ArrayLike,
-    p: ScalarLike,
+    u: Given[ArrayLike],
+    p: Given[ScalarLike],
     args: PyTree = None,
     *,
-    tolerance: ScalarLike = 1e-10,
-    max_steps: int = 30,
+    tolerance: Given[ScalarLike] = 1e-10,
+    max_steps: Given[int] = 30,
 ) -> FoldPoint:
     """The fold of F(u, p) = 0 near (u, p), by damped Newton steps on `fold_residual`.
 

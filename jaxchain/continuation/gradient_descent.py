@@ -21,7 +21,7 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..result import Outcome, SearchResult
 
 
@@ -133,8 +133,8 @@ def descend(
     loss: Callable[[Any], ScalarLike],
     start: PyTree,
     optimiser: optax.GradientTransformation,
-    steps: int = 500,
-    tolerance: ScalarLike = 1e-20,
+    steps: Given[int] = 500,
+    tolerance: Given[ScalarLike] = 1e-20,
     margins: Callable[[Any], PyTree] | None = None,
 ) -> Descent:
     """Minimises `loss` from `start` until it is at most `tolerance`, or for `steps` updates.

@@ -21,7 +21,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from .._checks import check_concrete, check_kind, check_one_of, check_whole
 from .._final import final
-from .._types import ArrayLike, ScalarLike, State, StateLike
+from .._types import ArrayLike, Given, ScalarLike, State, StateLike
 from ..continuation.arclength import (
     Switched,
     check_following,
@@ -690,23 +690,23 @@ class CycleBranch(Printed):
 
 
 def continue_cycle(
-    model: AbstractModel | LimitCycle,
-    state: StateLike | None = None,
-    period: ScalarLike | None = None,
+    model: Given[AbstractModel | LimitCycle],
+    state: Given[StateLike | None] = None,
+    period: Given[ScalarLike | None] = None,
     *,
-    parameter: str = "belt_speed",
-    direction: ArrayLike | str = 1,
+    parameter: Given[str] = "belt_speed",
+    direction: Given[ArrayLike | str] = 1,
     bounds: tuple[Any, Any] | None = None,
-    mass: int | None = None,
-    images: Sequence[int] | CycleSymmetry | None = None,
-    step: ScalarLike = 0.05,
-    min_step: ScalarLike = 1e-6,
-    max_step: ScalarLike = 0.3,
-    max_points: int = 300,
+    mass: Given[int | None] = None,
+    images: Given[Sequence[int] | CycleSymmetry | None] = None,
+    step: Given[ScalarLike] = 0.05,
+    min_step: Given[ScalarLike] = 1e-6,
+    max_step: Given[ScalarLike] = 0.3,
+    max_points: Given[int] = 300,
     stop: Callable[[float, Any], Any] | None = None,
     progress: Callable[[int, Point], Any] | None = None,
-    rtol: ScalarLike = RTOL,
-    tolerance: ScalarLike = 1e-9,
+    rtol: Given[ScalarLike] = RTOL,
+    tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> CycleBranch:
     """Follows a cycle as a number of the chain changes, around folds, with stability.
@@ -787,8 +787,8 @@ def switch_cycle(
     point: CyclePoint,
     *,
     symmetry: Any = 0,
-    side: int = 1,
-    step: ScalarLike = 0.02,
+    side: Given[int] = 1,
+    step: Given[ScalarLike] = 0.02,
     bounds: tuple[Any, Any] | None = None,
     stop: Callable[[float, Any], Any] | None = None,
     **options: Any,

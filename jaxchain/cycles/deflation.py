@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 from .._checks import check_flag, check_kind, check_whole, shown, to_float
 from .._final import final
 from .._progress import progress_bar
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..continuation.damped_newton import check_tolerance
 from ..model.arguments import as_chain, as_images, as_mass, as_model, as_state
 from ..model.chain import Chain, require_smoothed, steady_sliding
@@ -191,13 +191,13 @@ def find_limit_cycles(
     guesses: Any = 200,
     *,
     known: Iterable[LimitCycle] = (),
-    mass: int | None = None,
-    rounds: int = 3,
+    mass: Given[int | None] = None,
+    rounds: Given[int] = 3,
     key: Any = 0,
-    tolerance: ScalarLike = 1e-9,
-    rtol: ScalarLike = 1e-9,
-    max_steps: int = 40,
-    lanes: int = 16,
+    tolerance: Given[ScalarLike] = 1e-9,
+    rtol: Given[ScalarLike] = 1e-9,
+    max_steps: Given[int] = 40,
+    lanes: Given[int] = 16,
     progress: bool = False,
 ) -> CycleSearch:
     """Limit cycles that are not known yet, stable or not, from many starts.

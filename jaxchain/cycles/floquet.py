@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from .._checks import as_array, check_positive_number, is_traced, shown, to_float
 from .._final import final
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.chain import require_smoothed
 from ..model.locality import check_autonomous
@@ -33,11 +33,11 @@ _ROUNDINGS = 1e3
 
 
 def monodromy_matrix(
-    model: AbstractModel | LimitCycle,
-    state: StateLike | None = None,
-    period: ScalarLike | None = None,
+    model: Given[AbstractModel | LimitCycle],
+    state: Given[StateLike | None] = None,
+    period: Given[ScalarLike | None] = None,
     *,
-    rtol: ScalarLike = CYCLE_RTOL,
+    rtol: Given[ScalarLike] = CYCLE_RTOL,
 ) -> Float[Array, "two_n two_n"]:
     """M = d(state after `period`) / d(state), with states in the order (x_1 .. x_n, v_1 .. v_n).
 
@@ -92,11 +92,11 @@ def trace_integral(
 
 
 def liouville_determinant(
-    model: AbstractModel | LimitCycle,
-    state: StateLike | None = None,
-    period: ScalarLike | None = None,
+    model: Given[AbstractModel | LimitCycle],
+    state: Given[StateLike | None] = None,
+    period: Given[ScalarLike | None] = None,
     *,
-    rtol: ScalarLike = CYCLE_RTOL,
+    rtol: Given[ScalarLike] = CYCLE_RTOL,
 ) -> Float[Array, ""]:
     """exp(integral of tr J), the exact det M, by a quadrature independent of M.
 
@@ -179,8 +179,8 @@ class Floquet(NamedTuple):
 
 
 def floquet_multipliers(
-    monodromy: ArrayLike | LimitCycle,
-    flow_direction: ArrayLike | tuple[ArrayLike, ...] | None = None,
+    monodromy: Given[ArrayLike | LimitCycle],
+    flow_direction: Given[ArrayLike | tuple[ArrayLike, ...] | None] = None,
 ) -> Floquet:
     """Floquet multipliers of a `LimitCycle`, or the eigenvalues of a monodromy matrix.
 

@@ -38,7 +38,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass, as_model, as_state
@@ -133,8 +133,8 @@ def guess_from_simulation(
     state: State,
     mass: int | None = None,
     *,
-    transient: ScalarLike = 0.0,
-    duration: ScalarLike = 40.0,
+    transient: Given[ScalarLike] = 0.0,
+    duration: Given[ScalarLike] = 40.0,
 ) -> Guess:
     """A point of the orbit on which `state` settles, and its period.
 
@@ -743,16 +743,16 @@ def _follow(
 
 
 def find_limit_cycle(
-    model: AbstractModel,
+    model: Given[AbstractModel],
     guess: Any = None,
     *,
-    period: ScalarLike | None = None,
-    mass: int | None = None,
+    period: Given[ScalarLike | None] = None,
+    mass: Given[int | None] = None,
     branch: Any = "stable",
-    images: Sequence[int] | CycleSymmetry | None = None,
-    rtol: ScalarLike = CYCLE_RTOL,
-    tolerance: ScalarLike = 1e-9,
-    max_steps: int = 30,
+    images: Given[Sequence[int] | CycleSymmetry | None] = None,
+    rtol: Given[ScalarLike] = CYCLE_RTOL,
+    tolerance: Given[ScalarLike] = 1e-9,
+    max_steps: Given[int] = 30,
     throw: bool = True,
 ) -> LimitCycle:
     """The limit cycle near a guess, stable or not, by Newton's method at fixed belt speed.

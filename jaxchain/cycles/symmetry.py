@@ -28,7 +28,7 @@ import numpy as np
 
 from .._checks import check_concrete, check_positive_number, is_traced, shown
 from .._final import final
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_images
 from ..model.model import AbstractModel
 from ..observers.samples import Trajectory
@@ -102,11 +102,11 @@ Elements = dict[tuple[int, ...], Fraction]
 
 
 def cycle_symmetry(
-    model: AbstractModel | LimitCycle,
-    state: StateLike | None = None,
-    period: ScalarLike | None = None,
+    model: Given[AbstractModel | LimitCycle],
+    state: Given[StateLike | None] = None,
+    period: Given[ScalarLike | None] = None,
     *,
-    tolerance: ScalarLike = 1e-6,
+    tolerance: Given[ScalarLike] = 1e-6,
 ) -> CycleSymmetry:
     """The rotations and reflections of a ring that leave a cycle unchanged, also up to a shift.
 

@@ -26,7 +26,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, stay_inside, unknowns
 from ..model.arguments import as_state
@@ -139,11 +139,11 @@ def identify(
     chain: Chain,
     change: Callable[[Chain, Any], Chain],
     start: PyTree,
-    measurements: Measurements | Signal,
+    measurements: Given[Measurements | Signal],
     *,
-    mass: int | None = None,
-    starts: int = 1,
-    steps: int = 60,
+    mass: Given[int | None] = None,
+    starts: Given[int] = 1,
+    steps: Given[int] = 60,
 ) -> Identification:
     """The parameters theta of a chain that fit measurements best.
 
@@ -316,14 +316,14 @@ def profile(
     found: Identification,
     chain: Chain,
     change: Callable[[Chain, Any], Chain],
-    measurements: Measurements | Signal,
-    place: int,
+    measurements: Given[Measurements | Signal],
+    place: Given[int],
     *,
-    mass: int | None = None,
-    reach: ScalarLike = 5.0,
-    points: int = 41,
-    confidence: ScalarLike = 0.95,
-    steps: int = 60,
+    mass: Given[int | None] = None,
+    reach: Given[ScalarLike] = 5.0,
+    points: Given[int] = 41,
+    confidence: Given[ScalarLike] = 0.95,
+    steps: Given[int] = 60,
 ) -> Profile:
     """The profile likelihood of one number: all others are fitted anew for each of its values.
 

@@ -27,7 +27,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
 from ..cycles.limit_cycle import LimitCycle, find_limit_cycle
@@ -195,7 +195,7 @@ class Signal(Printed, eqx.Module):
 
     def __init__(
         self,
-        times: ArrayLike,
+        times: Given[ArrayLike],
         values: Any,
         noise: Any,
         what: What = "displacement",
@@ -389,8 +389,8 @@ def at_edges(chain: Chain, bent: Bool[Array, " q"]) -> dict[str, Bool[Array, ""]
 def predict(
     chain: Chain,
     measurements: Measurements | Signal,
-    mass: int | None = None,
-    phase: ScalarLike | None = None,
+    mass: Given[int | None] = None,
+    phase: Given[ScalarLike | None] = None,
 ) -> Float[Array, " m"]:
     """The values that `chain` predicts for `measurements.values`.
 
@@ -620,8 +620,8 @@ def _cubic(
 def log_likelihood(
     chain: Chain,
     measurements: Measurements | Signal,
-    mass: int | None = None,
-    phase: ScalarLike | None = None,
+    mass: Given[int | None] = None,
+    phase: Given[ScalarLike | None] = None,
 ) -> Float[Array, ""]:
     """The logarithm of the probability density of measurements with Gaussian noise.
 

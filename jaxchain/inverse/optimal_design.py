@@ -23,7 +23,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ArrayLike, ScalarLike
+from .._types import ArrayLike, Given, ScalarLike
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.ranges import StabilityRange, stability_range
 from ..continuation.damped_newton import where
@@ -121,15 +121,15 @@ def design(
     change: Callable[[Chain, Any], Chain],
     start: PyTree,
     *,
-    width_below: ScalarLike | None = None,
-    highest_below: ScalarLike | None = None,
-    blow_above: ScalarLike | None = None,
+    width_below: Given[ScalarLike | None] = None,
+    highest_below: Given[ScalarLike | None] = None,
+    blow_above: Given[ScalarLike | None] = None,
     cost: Callable[[Any], Any] | None = None,
-    scale: ArrayLike | None = None,
-    mass: int | None = None,
+    scale: Given[ArrayLike | None] = None,
+    mass: Given[int | None] = None,
     optimiser: optax.GradientTransformation | None = None,
-    steps: int = 200,
-    tolerance: ScalarLike = 1e-6,
+    steps: Given[int] = 200,
+    tolerance: Given[ScalarLike] = 1e-6,
 ) -> Design:
     """The cheapest design theta whose vibration ends at a low speed, or needs a hard blow.
 

@@ -25,7 +25,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ArrayLike, ScalarLike, StateLike
+from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..observers.fronts import Fronts, FrontTrack, apart, mean_speed
@@ -123,16 +123,16 @@ def _measure(
 
 def front_speed(
     chain: Chain,
-    initial: StateLike,
+    initial: Given[StateLike],
     t1: ScalarLike,
     *,
     t0: ScalarLike = 0.0,
-    transient: ScalarLike | None = None,
-    windows: int | None = None,
-    middle: int | None = None,
-    level: ScalarLike = 0.95,
-    solver: Solver | None = None,
-    rtol: ScalarLike = 1e-6,
+    transient: Given[ScalarLike | None] = None,
+    windows: Given[int | None] = None,
+    middle: Given[int | None] = None,
+    level: Given[ScalarLike] = 0.95,
+    solver: Given[Solver | None] = None,
+    rtol: Given[ScalarLike] = 1e-6,
 ) -> FrontSpeed:
     """Runs a block of vibrating masses and measures how fast its fronts move.
 
@@ -181,7 +181,7 @@ def front_speed(
 
 
 def front_speeds(
-    runs: Dataset, transient: ArrayLike | None = None, *, level: ScalarLike = 0.95
+    runs: Dataset, transient: Given[ArrayLike | None] = None, *, level: Given[ScalarLike] = 0.95
 ) -> Dataset:
     """The numbers of `front_speed` for every run of a sweep.
 
@@ -297,16 +297,16 @@ class Depinning(Printed, eqx.Module):
 
 def depinning_belt_speed(
     chain: Chain,
-    initial: Callable[[Chain], StateLike],
+    initial: Given[Callable[[Chain], StateLike]],
     t1: ScalarLike,
     *,
-    stands: ScalarLike,
-    moves: ScalarLike,
-    halvings: int = 6,
-    transient: ScalarLike | None = None,
-    windows: int | None = None,
-    solver: Solver | None = None,
-    rtol: ScalarLike = 1e-6,
+    stands: Given[ScalarLike],
+    moves: Given[ScalarLike],
+    halvings: Given[int] = 6,
+    transient: Given[ScalarLike | None] = None,
+    windows: Given[int | None] = None,
+    solver: Given[Solver | None] = None,
+    rtol: Given[ScalarLike] = 1e-6,
 ) -> Depinning:
     """The belt speed at which the fronts of a block start to move, by bisection.
 

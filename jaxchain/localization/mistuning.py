@@ -23,7 +23,7 @@ from .._checks import (
     shown,
 )
 from .._final import final
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.sliding import stiffness_matrix
@@ -38,7 +38,7 @@ FARTHEST = {"uniform": math.sqrt(3.0), "normal": _NORMAL_END}
 
 
 def mistuned_stiffness(
-    seed: int, n: int, disorder: ScalarLike, distribution: str = "uniform"
+    seed: Given[int], n: Given[int], disorder: Given[ScalarLike], distribution: str = "uniform"
 ) -> Float[Array, " n"]:
     """Random stiffnesses k_n = 1 + disorder u_n, u_n independent, of mean 0 and variance 1.
 
@@ -72,7 +72,7 @@ def mistuned_stiffness(
 
 
 def mistuned_chain(
-    chain: Chain, seed: int, disorder: ScalarLike, distribution: str = "uniform"
+    chain: Chain, seed: Given[int], disorder: Given[ScalarLike], distribution: str = "uniform"
 ) -> Chain:
     """The chain with each stiffness multiplied by one of `mistuned_stiffness`.
 
@@ -155,7 +155,7 @@ class LinearModes(Printed, eqx.Module):
     return_probability: Float[Array, " n"]
 
 
-def linear_modes(chain: Chain) -> LinearModes:
+def linear_modes(chain: Given[Chain]) -> LinearModes:
     """Natural frequencies and mode shapes of a chain.
 
     In a tuned ring omega_q^2 = k + 2 eta_c (1 - cos q), q = 2 pi m / n: a band of width 4 eta_c.
@@ -188,11 +188,11 @@ def _modes(chain: Chain) -> LinearModes:
 
 
 def localization_length(
-    disorder: ScalarLike,
-    coupling: ScalarLike,
+    disorder: Given[ScalarLike],
+    coupling: Given[ScalarLike],
     position: ScalarLike = 0.0,
     *,
-    seed: int = 0,
+    seed: Given[int] = 0,
     length: int = 100_000,
     distribution: str = "uniform",
 ) -> Float[Array, ""]:

@@ -26,7 +26,7 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ArrayLike, ScalarLike, State
+from .._types import ArrayLike, Given, ScalarLike, State
 from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
 from ..cycles.floquet import monodromy_matrix
@@ -78,7 +78,7 @@ class PhaseModel(Printed, eqx.Module):
         return forth + back
 
 
-def phase_model(chain: Chain) -> PhaseModel:
+def phase_model(chain: Given[Chain]) -> PhaseModel:
     """The phase model of a weakly coupled homogeneous ring at its belt speed.
 
     **Arguments:** `chain`, a ring of equal masses with smoothed friction and little coupling.
@@ -195,10 +195,10 @@ def _check_model(model: Any) -> None:
 
 def pattern_guess(
     model: PhaseModel,
-    phases: ArrayLike,
+    phases: Given[ArrayLike],
     *,
     block: str = "centred",
-    first: ScalarLike | None = None,
+    first: Given[ScalarLike | None] = None,
 ) -> tuple[State, Float[Array, ""]]:
     """(state, period) near the locked cycle of k neighbours with the given phases.
 
@@ -338,7 +338,7 @@ class LockedPattern(Printed):
         return [max(i, (total - i) % n) if i != mass else i for i in range(n)]
 
 
-def locked_patterns(model: PhaseModel, count: int) -> tuple[LockedPattern, ...]:
+def locked_patterns(model: PhaseModel, count: Given[int]) -> tuple[LockedPattern, ...]:
     """The locked patterns of `count` neighbours, the most stable one first.
 
     Newton's method from a few hundred fixed starts; for more than about eight masses it misses
@@ -380,7 +380,7 @@ def locked_patterns(model: PhaseModel, count: int) -> tuple[LockedPattern, ...]:
     return tuple(sorted(patterns, key=lambda pattern: pattern.growth))
 
 
-def rotating_wave(model: PhaseModel, turns: int) -> LockedPattern:
+def rotating_wave(model: PhaseModel, turns: Given[int]) -> LockedPattern:
     """The whole ring vibrates, each mass ahead of the previous one by 2 pi `turns` / n.
 
     0 is in phase, n / 2 alternating; every such pattern is locked.

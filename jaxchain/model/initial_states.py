@@ -18,7 +18,7 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._types import State
+from .._types import Given, State
 from .arguments import as_chain, as_mass
 from .chain import Chain, steady_sliding
 
@@ -197,7 +197,7 @@ def equation_10(
     )
 
 
-def on_the_belt(chain: Chain, mass: int | None = None) -> State:
+def on_the_belt(chain: Chain, mass: Given[int | None] = None) -> State:
     """(x, v) with one mass carried by the belt past x = 0, and the others sliding.
 
     With one mass and dry friction it lies on the stick-slip cycle.

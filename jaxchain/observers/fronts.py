@@ -18,7 +18,7 @@ from .._checks import as_array, check_positive_number, check_share, check_whole,
 from .._final import final
 from .._internals import unvmap_any
 from .._statistics import student_reach
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite
 from .quantities import active_above
@@ -43,7 +43,9 @@ class Fronts(eqx.Module):
 
 @eqx.filter_jit
 def front_positions(
-    amplitude: Float[Array, "*batch n"], threshold: ScalarLike, middle: int | None = None
+    amplitude: Float[Array, "*batch n"],
+    threshold: Given[ScalarLike],
+    middle: Given[int | None] = None,
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
     """(right, left): the distances of the fronts from mass `middle` on a ring, in masses.
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from .._checks import check_kind, check_positive_number, check_whole, shown
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain, map_numbers, paper_chain
 from ..model.friction import AbstractFriction, TanhFriction
@@ -331,7 +331,7 @@ def plot_friction_law(
     friction: Chain | AbstractFriction,
     *,
     ax: Axes | None = None,
-    reach: ScalarLike | None = None,
+    reach: Given[ScalarLike | None] = None,
     scales: Scales | None = None,
 ) -> Axes:
     """Draws F(w) / P over the relative velocity w = v - v_d: the dry law and the smoothed one.

@@ -32,7 +32,7 @@ from .._checks import (
     shown,
 )
 from .._spelling import did_you_mean
-from .._types import ArrayLike, ScalarLike, StateLike
+from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..cycles.limit_cycle import most_lively
 from ..model.arguments import as_chain, as_model, as_state
 from ..model.chain import Chain
@@ -71,8 +71,8 @@ _BELT, _SPRING, _COUPLING, _CEILING = -0.55, 0.72, 0.25, 1.45
 
 
 def plot_time_series(
-    times: ArrayLike,
-    states: StateLike | Simulation,
+    times: Given[ArrayLike],
+    states: Given[StateLike | Simulation],
     model: AbstractModel | None = None,
     *,
     y: str | int = 0,
@@ -120,8 +120,8 @@ def plot_time_series(
 
 
 def plot_phase_portrait(
-    times: ArrayLike,
-    states: StateLike | Simulation,
+    times: Given[ArrayLike],
+    states: Given[StateLike | Simulation],
     model: AbstractModel | None = None,
     *,
     x: str | int = 0,
@@ -160,8 +160,8 @@ def plot_phase_portrait(
 
 
 def plot_space_time(
-    times: ArrayLike,
-    states: StateLike | Simulation,
+    times: Given[ArrayLike],
+    states: Given[StateLike | Simulation],
     model: AbstractModel | None = None,
     *,
     y: str | int = 0,
@@ -285,7 +285,7 @@ def _draw_curves(
     return axes
 
 
-def sticking(model: AbstractModel, states: StateLike) -> np.ndarray:
+def sticking(model: AbstractModel, states: Given[StateLike]) -> np.ndarray:
     """Which masses stick at each time, of shape (times, n).
 
     With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
@@ -351,13 +351,13 @@ def _sticks(model: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
 
 
 def loop(
-    model: AbstractModel,
-    state: StateLike,
+    model: Given[AbstractModel],
+    state: Given[StateLike],
     *,
-    frames: int = 60,
-    solver: Solver | None = None,
-    longest: ScalarLike = 100.0,
-    tolerance: ScalarLike = 1e-2,
+    frames: Given[int] = 60,
+    solver: Given[Solver | None] = None,
+    longest: Given[ScalarLike] = 100.0,
+    tolerance: Given[ScalarLike] = 1e-2,
 ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """A whole number of periods of the vibration through `state`, for a film in a loop.
 
@@ -411,12 +411,12 @@ def loop(
 
 
 def animate(
-    times: ArrayLike,
-    states: StateLike | Simulation,
-    model: Chain,
+    times: Given[ArrayLike],
+    states: Given[StateLike | Simulation],
+    model: Given[Chain],
     *,
     masses: Any = None,
-    frames_per_second: ScalarLike = 20,
+    frames_per_second: Given[ScalarLike] = 20,
 ) -> FuncAnimation:
     """Animates the chain on its moving belt, with the displacements and the phase plane below.
 
@@ -483,7 +483,9 @@ class _Animation(FuncAnimation):
         super().save(filename, writer, *arguments, **options)
 
 
-def save_gif(animation: FuncAnimation, path: str | PathLike[str], dpi: int = 100) -> Path:
+def save_gif(
+    animation: FuncAnimation, path: Given[str | PathLike[str]], dpi: Given[int] = 100
+) -> Path:
     """Writes an animation as a repeating GIF with few colours.
 
     **Arguments:** `animation`, from `animate`; `path` of the file; `dpi`, dots per inch.
@@ -523,11 +525,11 @@ def save_gif(animation: FuncAnimation, path: str | PathLike[str], dpi: int = 100
 
 
 def film_strip(
-    times: ArrayLike,
-    states: StateLike | Simulation,
-    model: Chain,
+    times: Given[ArrayLike],
+    states: Given[StateLike | Simulation],
+    model: Given[Chain],
     *,
-    stills: int = 8,
+    stills: Given[int] = 8,
     masses: Any = None,
 ) -> Figure:
     """Stills of `animate` below each other, at equal intervals from the first time.

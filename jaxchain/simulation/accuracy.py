@@ -12,7 +12,7 @@ from .._checks import check_number, is_traced
 from .._final import final
 from .._limits import LEAST_ACCURACY, MOST_ACCURACY
 from .._printing import PrintedAsCall
-from .._types import ScalarLike
+from .._types import Given, ScalarLike
 from ..model.arguments import as_model
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
@@ -44,7 +44,7 @@ class Numerics(PrintedAsCall, eqx.Module):
     solver: AbstractStructuredRosenbrock = eqx.field(static=True)
 
 
-def choose_numerics(model: AbstractModel, accuracy: ScalarLike) -> Numerics:
+def choose_numerics(model: AbstractModel, accuracy: Given[ScalarLike]) -> Numerics:
     """The cheapest smoothed computation with an error of at most `accuracy`.
 
     The error is relative to dry friction and to the greatest amplitude of the run.

@@ -21,7 +21,7 @@ from .._checks import (
 from .._final import final
 from .._limits import LEAST_ATOL, LEAST_RTOL
 from .._printing import PrintedAsCall
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..model.cells import AbstractCells
 from ..model.model import AbstractModel
 from ..model.oscillators import AbstractOscillators
@@ -72,9 +72,9 @@ class Method(PrintedAsCall, eqx.Module):
     """
 
     solver: Solver | None = None
-    rtol: ScalarLike | None = None
-    atol: ScalarLike | None = None
-    max_step: ScalarLike | None = None
+    rtol: Given[ScalarLike | None] = None
+    atol: Given[ScalarLike | None] = None
+    max_step: Given[ScalarLike | None] = None
     max_steps: int | None = eqx.field(static=True, default=None)
 
     @classmethod

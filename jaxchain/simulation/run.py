@@ -22,7 +22,7 @@ from .._checks import (
 )
 from .._derivatives import both_ways
 from .._final import final
-from .._types import ScalarLike, State, StateLike
+from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
 from ..observers.base import AbstractObserver
@@ -104,14 +104,14 @@ class Simulation(Printed, eqx.Module):
 
 def simulate(
     model: AbstractModel,
-    initial: StateLike,
+    initial: Given[StateLike],
     t1: ScalarLike,
     *,
     t0: ScalarLike = 0.0,
     observe: PyTree = None,
     method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
-    accuracy: ScalarLike | None = None,
+    accuracy: Given[ScalarLike | None] = None,
     rtol: ArrayLike | None = None,
     atol: ArrayLike | None = None,
     max_step: ArrayLike | None = None,

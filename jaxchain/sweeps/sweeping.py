@@ -27,7 +27,7 @@ from tqdm import tqdm
 
 from .._checks import check_count, check_flag, check_kind, shown
 from .._limits import MOST_LANES, MOST_STORED
-from .._types import ScalarLike, State
+from .._types import Given, ScalarLike, State
 from ..model.model import AbstractModel
 from ..result import ended_as, ended_well, message
 from ..simulation.event_driven import EventDriven, EventDrivenPlan
@@ -63,13 +63,13 @@ class SweepInterrupted(KeyboardInterrupt):
 
 
 def sweep(
-    model: AbstractModel,
+    model: Given[AbstractModel],
     initial: State | Callable[..., State],
     t1: ScalarLike,
     *,
     over: Mapping[str, Any],
     vary: Callable[..., Any] | None = None,
-    observe: PyTree = None,
+    observe: Given[PyTree] = None,
     t0: ScalarLike = 0.0,
     method: Method | None = None,
     solver: dfx.AbstractSolver | EventDriven | None = None,
