@@ -754,16 +754,16 @@ def continue_cycle(
     check_following(stop, progress)
     if state is None and period is None and mass is None:
         mass = getattr(model, "mass", None)
-    model, state, period = as_orbit(model, state, period)
-    check_concrete("use `find_limit_cycle`.", model=model, state=state, period=period)
-    require_smoothed(model, "follow `find_limit_cycle` from one belt speed to the next, or ")
-    state = check_orbit(model, state, period, rtol)
-    n, velocity = state[0].size, model.value_and_rate(0.0, state)[1]
-    mass = int(as_mass(n, mass, int(jnp.argmax(model.belt_direction() * velocity))))
-    p = float(as_parameter(model, parameter))
-    solver = fit_linear_solve(Rodas5P(), model, float(rtol), state=state)
-    (images, shift), turns = as_symmetry(images, model, state, mass), turns_of(model, period)
-    shooting = Shooting(model, rtol, solver, mass, images, parameter, len(state), turns, shift)
+    field, state, period = as_orbit(model, state, period)
+    check_concrete("use `find_limit_cycle`.", model=field, state=state, period=period)
+    require_smoothed(field, "follow `find_limit_cycle` from one belt speed to the next, or ")
+    state = check_orbit(field, state, period, rtol)
+    n, velocity = state[0].size, field.value_and_rate(0.0, state)[1]
+    mass = int(as_mass(n, mass, int(jnp.argmax(field.belt_direction() * velocity))))
+    p = float(as_parameter(field, parameter))
+    solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
+    (images, shift), turns = as_symmetry(images, field, state, mass), turns_of(field, period)
+    shooting = Shooting(field, rtol, solver, mass, images, parameter, len(state), turns, shift)
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):

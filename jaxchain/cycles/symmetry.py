@@ -132,14 +132,14 @@ def cycle_symmetry(
         >>> cycle_symmetry(find_limit_cycle(ring, (start, alone.period))).label
         'D4, T/2'
     """
-    model, state, period = as_orbit(model, state, period)
-    check_concrete("call it outside `jit`.", model=model, state=state, period=period)
-    state = check_orbit(model, state, period, CYCLE_RTOL)
+    field, state, time = as_orbit(model, state, period)
+    check_concrete("call it outside `jit`.", model=field, state=state, period=time)
+    state = check_orbit(field, state, time, CYCLE_RTOL)
     check_positive_number("tolerance", tolerance, "1e-6 is usual.")
-    n, forced = state[0].size, model.forcing_period() is not None
-    motions, k = ring_motions(model, state), 1 if forced else int(np.lcm(n, 2))
-    times = float(period) * np.arange(k + 1) / k
-    run = simulate(model, state, times[-1], observe=Trajectory(times), rtol=1e-9)
+    n, forced = state[0].size, field.forcing_period() is not None
+    motions, k = ring_motions(field, state), 1 if forced else int(np.lcm(n, 2))
+    times = float(time) * np.arange(k + 1) / k
+    run = simulate(field, state, times[-1], observe=Trajectory(times), rtol=1e-9)
     orbit = np.stack(run.observed)  # (m, k + 1, n)
     size = np.max(np.ptp(orbit, axis=1)) or 1.0
     found: Elements = {}

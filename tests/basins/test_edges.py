@@ -260,6 +260,7 @@ def test_edges_between_one_two_and_three_vibrating_masses():
 
 LEFT, RIGHT = ([-0.8], [0.6]), ([0.5], [0.6])
 BETWEEN: dict[str, Any] = {"classify": Well(), "window": 2.0, "patience": 500.0}
+HASTY: dict[str, Any] = {**BETWEEN, "patience": 1.0}
 
 
 @pytest.mark.slow
@@ -292,7 +293,7 @@ def test_the_edge_between_two_wells_ends_in_their_saddle():
     assert not edge.periodic
     both = edge_state(double_well(0.5), RIGHT, ([0.6], [0.6]), time=7.0, **BETWEEN)
     assert name_of(both.result) == "same_state"
-    late = edge_state(double_well(0.5), LEFT, RIGHT, time=7.0, **BETWEEN | {"patience": 1.0})
+    late = edge_state(double_well(0.5), LEFT, RIGHT, time=7.0, **HASTY)
     assert name_of(late.result) == "undecided"
 
 

@@ -1,5 +1,7 @@
 """Branches of cycles against SciPy, closed forms, and other ways to the same points."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -265,7 +267,7 @@ def test_what_cannot_be_is_named(changed, named):
 
 def test_something_that_is_no_cycle_is_named():
     with pytest.raises(ValueError, match="LimitCycle"):
-        continue_cycle(3.0)
+        continue_cycle(cast(Any, 3.0))
 
 
 def test_no_other_branch_begins_at_a_fold(branch):

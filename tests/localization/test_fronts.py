@@ -1,5 +1,7 @@
 """Fronts: their places, the mean speed of what moves in hops, growing and standing blocks."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -262,7 +264,7 @@ def test_bad_input_is_refused(change, match):
 
 def test_bad_input_of_the_bisection_is_refused():
     chain = paper_chain(n=16)
-    state = excited_state(chain, 6)
+    state: Any = excited_state(chain, 6)
     with pytest.raises(ValueError, match="`initial` must be a function"):
         depinning_belt_speed(chain, state, 10.0, stands=1.5, moves=1.2)
     with pytest.raises(ValueError, match="`moves` must be positive"):
