@@ -19,7 +19,7 @@ CHUNKS = {"belt_speed": 2, "excited": 2}
 def small(store: Any = None, *, lanes: Any = 4, **changes: Any) -> Any:
     """Two dry masses, in memory or in a store; all that only differ in numbers share a program."""
     arguments = {
-        "chain": paper_chain(2, belt_speed=1.4, width=None), "initial": equation_8, "t1": 20.0,
+        "model": paper_chain(2, belt_speed=1.4, width=None), "initial": equation_8, "t1": 20.0,
         "over": OVER, "observe": Amplitude(window=5.0), "lanes": lanes,
     }  # fmt: skip
     kept = {} if store is None else {"chunks": CHUNKS, "store": store}

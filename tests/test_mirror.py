@@ -127,6 +127,9 @@ def design(chain):
 
 
 QUICK = {
+    "complex_modes": lambda chain, sign: (
+        jc.boundaries.complex_modes(chain, guess=jc.steady_sliding(chain)).eigenvalues[:, :3]
+    ),
     "find_equilibrium": lambda chain, sign: turned(
         sign, jc.boundaries.find_equilibrium(chain, jc.steady_sliding(chain)).state
     ),
@@ -204,7 +207,9 @@ def test_no_public_function_of_a_chain_is_forgotten():
         for name in getattr(submodule, "__all__", ())
     ]
     functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
-    taking = {f.__name__ for f in functions if "chain" in inspect.signature(f).parameters}
+    taking = {
+        f.__name__ for f in functions if {"chain", "model"} & {*inspect.signature(f).parameters}
+    }
     assert taking <= cases
 
 

@@ -86,7 +86,9 @@ def one_mass_branch(
         True
     """
     _check_single(chain)
-    require_smoothed(chain, "use `jaxchain.basins.sliding_basin` for its slip cycles, or ")
+    require_smoothed(
+        chain, "use `jaxchain.basins.sliding_basin` for its slip cycles, or ", "chain"
+    )
     check_positive_number("lowest", lowest, "the cycles are lost as the belt comes to rest.")
     check_concrete("use `find_limit_cycle`.", chain=chain)
     fold = find_fold(chain) if fold is None else fold

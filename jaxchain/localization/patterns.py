@@ -105,7 +105,7 @@ def phase_model(chain: Given[Chain]) -> PhaseModel:
     """
     _check_ring(chain)
     check_concrete("use `find_limit_cycle`.", chain=chain)
-    require_smoothed(chain, "")
+    require_smoothed(chain, "", "chain")
     alone = one_mass(chain, 0)
     cycle = find_limit_cycle(alone)
     state, period = cycle.state, cycle.period

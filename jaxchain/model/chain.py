@@ -479,12 +479,12 @@ def spread_numbers(chain: Chain, like: Float[Array, " n"]) -> Chain:
     return eqx.tree_at(parts, chain, new, is_leaf=lambda a: a is None)
 
 
-def require_smoothed(model: Any, instead: str) -> None:
+def require_smoothed(model: Any, instead: str, name: str = "model") -> None:
     """Raises `ValueError` for a model with dry friction; `instead`: an alternative, or ""."""
     if isinstance(model, AbstractModel) and model.dry:
         raise ValueError(
-            "Argument `model` has dry friction, but this is for smoothed friction: "
-            f"{instead}give it a width, `model.with_(width=1e-3)`."
+            f"Argument `{name}` has dry friction, but this is for smoothed friction: "
+            f"{instead}give it a width, `{name}.with_(width=1e-3)`."
         )
 
 

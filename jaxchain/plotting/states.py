@@ -316,7 +316,7 @@ def draw_time_series(part: Any, data: xr.Dataset, letters: Iterator[str]) -> Non
     alive, quiet = (np.flatnonzero(which).tolist() for which in (alive, ~alive))
     axes = part.subplot_mosaic([["x", "phase"], ["v", "phase"]], width_ratios=[1.7, 1.0])
     grey: dict[str, Any] = {"color": "#999999", "label": "the others"}
-    looks: list[tuple[list[int], Any]] = [(quiet, grey), (alive, {"chain": chain})]
+    looks: list[tuple[list[int], Any]] = [(quiet, grey), (alive, {"model": chain})]
     for masses, look in looks:
         if masses:
             plot_time_series(times, states, masses=masses, ax=axes["x"], **look)

@@ -188,9 +188,9 @@ def custom_solver(model: Any, solver: Any) -> Any:
     if solver is None:
         return EventDriven()
     raise ValueError(
-        f"Argument `solver` is {shown(solver)}, but `chain` has dry friction, which only "
+        f"Argument `solver` is {shown(solver)}, but `model` has dry friction, which only "
         "`EventDriven()` integrates: leave out `solver`, or smooth the friction, "
-        "`chain.with_(width=1e-3)`."
+        "`model.with_(width=1e-3)`."
     )
 
 

@@ -91,7 +91,7 @@ DEVICES = "xla_force_host_platform_device_count"
 class RunSettings:
     """The settings common to all runs of a sweep: the arguments that affect numbers."""
 
-    chain: Any  # a `Chain`, which `prepare` checks
+    model: Any  # which `prepare` checks
     initial: State | Callable[..., State]
     t1: ScalarLike
     vary: Callable[..., Any] | None = None
@@ -120,7 +120,7 @@ class Ensemble:
         """The functions that make the start of each job."""
         settings = self.settings
         functions = known_again(settings.initial), known_again(settings.vary)
-        return RunStarts(settings.chain, *functions, self.n)
+        return RunStarts(settings.model, *functions, self.n)
 
     @functools.cached_property
     def task(self) -> SweepTask:
@@ -131,7 +131,7 @@ class Ensemble:
         steps = None if method.max_steps is None else jnp.asarray(method.max_steps)
         varied = self.starts.varied(self.first_job().first)
         t0, t1 = to_float(settings.t0), to_float(settings.t1)
-        return SweepTask(plan, settings.chain, t0, t1, steps, varied, settings.segments, self.n)
+        return SweepTask(plan, settings.model, t0, t1, steps, varied, settings.segments, self.n)
 
     @functools.cached_property
     def shapes(self) -> Shapes:
@@ -149,7 +149,7 @@ class Ensemble:
         block, settings = grid.block(key), self.settings
         if settings.accuracy is not None:
             block.jobs["width"], _ = _numerics(
-                settings.chain, settings.vary, block.jobs, settings.accuracy
+                settings.model, settings.vary, block.jobs, settings.accuracy
             )
         return block
 
@@ -181,7 +181,7 @@ class Ensemble:
         """The provenance: everything needed to repeat the computation."""
         settings, swept = self.settings, list(columns_of(self.axes))
         t0, t1 = float(self.task.t0), float(self.task.t1)
-        attrs = describe(settings.chain, self.n, self.task.plan, t0=t0, t1=t1, swept=swept)
+        attrs = describe(settings.model, self.n, self.task.plan, t0=t0, t1=t1, swept=swept)
         if settings.vary is not None:
             attrs["vary"] = shown(settings.vary)
         return attrs if settings.accuracy is None else attrs | {"accuracy": settings.accuracy}
@@ -191,7 +191,7 @@ class Ensemble:
         task, edges = self.task, None
         if task.segments is not None:
             edges = np.asarray(task.edge(np.arange(task.segments + 1)))
-        labelled = to_dataset(block.records, block.axes, self.settings.chain, self.n, attrs, edges)
+        labelled = to_dataset(block.records, block.axes, self.settings.model, self.n, attrs, edges)
         if self.settings.accuracy is not None:
             about = parameter("width").attrs
             about["long_name"] += " that `accuracy` picked"
@@ -205,9 +205,9 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
 
     **Raises:** `ValueError` for bad input.
     """
-    chain: Any = as_model(settings.chain)
+    chain: Any = as_model(settings.model)
     initial, vary, t0, t1 = settings.initial, settings.vary, settings.t0, settings.t1
-    check_concrete("use `jax.vmap` of `simulate`.", chain=chain, t1=t1, t0=t0)
+    check_concrete("use `jax.vmap` of `simulate`.", model=chain, t1=t1, t0=t0)
     check_concrete("use `jax.vmap` of `simulate`.", over=over)
     check_span(t0, t1)
     method = Method.of(settings.method)
@@ -246,7 +246,7 @@ def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemb
         method = method.suited(strongest, n, first_state, scale)
     accuracy = None if method.dry else accuracy
     complete = dataclasses.replace(
-        settings, chain=chain, observe=observers, method=method, accuracy=accuracy, n=n
+        settings, model=chain, observe=observers, method=method, accuracy=accuracy, n=n
     )
     return Ensemble(complete, axes)
 

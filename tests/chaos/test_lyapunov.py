@@ -180,13 +180,13 @@ def test_kaplan_yorke_dimension(exponents, complete, dimension):
         ({"initial": (jnp.zeros(3), jnp.zeros(3))}, "initial"),
         ({"initial": jnp.zeros(2)}, "initial"),
         ({"initial": (jnp.full(2, jnp.nan), jnp.zeros(2))}, "initial"),
-        ({"chain": None}, "chain"),
+        ({"model": None}, "model"),
         ({"max_steps": 0}, "max_steps"),
     ],
 )
 def test_bad_input(changes, name):
     chain = paper_chain(2)
-    arguments = {"chain": chain, "initial": (jnp.zeros(2), jnp.zeros(2)), "t1": 10.0} | changes
+    arguments = {"model": chain, "initial": (jnp.zeros(2), jnp.zeros(2)), "t1": 10.0} | changes
     with pytest.raises(ValueError, match=f"`{name}"):
         lyapunov_spectrum(**arguments)
 

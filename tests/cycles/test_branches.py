@@ -242,7 +242,7 @@ def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
 @pytest.mark.parametrize(
     ("changed", "named"),
     [
-        ({"chain": 3.0}, "`chain`"),
+        ({"model": 3.0}, "`model`"),
         ({"state": (jnp.zeros(2), jnp.zeros(2))}, "`state`"),
         ({"period": -1.0}, "`period`"),
         ({"parameter": "colour"}, "`parameter`"),
@@ -256,7 +256,7 @@ def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
 )
 def test_what_cannot_be_is_named(changed, named):
     given = {
-        "chain": paper_chain(1, belt_speed=1.0, width=0.05),
+        "model": paper_chain(1, belt_speed=1.0, width=0.05),
         "state": (jnp.zeros(1), jnp.ones(1)),
         "period": 6.4,
         **changed,

@@ -127,7 +127,7 @@ def test_a_cycle_alone_has_its_multipliers():
     with pytest.raises(ValueError, match="`flow_direction` must be given beside a matrix, but"):
         floquet_multipliers(jnp.eye(4))
     for use in (monodromy_matrix, liouville_determinant):
-        with pytest.raises(ValueError, match="`chain` must be a `LimitCycle`, or a chain for"):
+        with pytest.raises(ValueError, match="`model` must be a `LimitCycle`, or a model for"):
             use(chain)
 
 
@@ -169,7 +169,7 @@ def test_bad_input_is_named():
     chain = paper_chain(2)
     state = excited_state(chain, 1)
     for arguments, words in [
-        ((None, state, 1.0), "`chain` must be a `Chain`"),
+        ((None, state, 1.0), "`model` must be a `Chain`"),
         ((chain, state[0], 1.0), "`state` must be the pair"),
         ((chain, (jnp.ones(3), jnp.ones(3)), 1.0), r"shape \(2,\)"),
         ((chain, (jnp.ones(2) * jnp.nan, jnp.ones(2)), 1.0), "finite"),

@@ -377,7 +377,7 @@ def test_bad_input_is_named(slip):
     chain = paper_chain(1)
     state = excited_state(chain, 1)
     for arguments, words in [
-        ({"chain": None}, "`chain` must be a `Chain`"),
+        ({"model": None}, "`model` must be a `Chain`"),
         ({"guess": 3.0}, "`guess` must be the pair"),
         ({"guess": (state, -1.0)}, "`period` must be positive"),
         ({"mass": 2}, "`mass` must be an integer in 0 ... 0"),
@@ -389,7 +389,7 @@ def test_bad_input_is_named(slip):
         ({"guess": (jnp.ones(3), jnp.ones(3))}, r"shape \(1,\)"),
     ]:
         with pytest.raises(ValueError, match=words):
-            find_limit_cycle(**{"chain": chain, **arguments})
+            find_limit_cycle(**{"model": chain, **arguments})
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
     with pytest.raises(ValueError, match="give a state as `guess`"):
         find_limit_cycle(field)

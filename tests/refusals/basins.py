@@ -71,9 +71,9 @@ def rows() -> Iterator[Row]:
     yield Row("blow_of_one_mass", basins.blow_of_one_mass, {}, bad)
     times = dict.fromkeys(("time", "window", "patience", "near", "tolerance"), POSITIVE)
     yield Row(
-        "edge_state", basins.edge_state, {"chain": paper_chain(3, 1.2, None), **STARTS},
+        "edge_state", basins.edge_state, {"model": paper_chain(3, 1.2, None), **STARTS},
         {
-            "chain": A_CHAIN, "quiet": states(3), "vibrating": states(3), **times,
+            "model": A_CHAIN, "quiet": states(3), "vibrating": states(3), **times,
             "time": (*POSITIVE, 5.0, 1e9), "far": (*POSITIVE, 1e-10), "rtol": (None, *TOLERANCE),
             "solver": SOLVERS, "classify": ("x", 3.0, {}, basins.Box()),
         },
@@ -86,10 +86,10 @@ def _still(chain: object, point: Array) -> tuple[Array, Array]:
 
 
 def _shares() -> Iterator[Row]:
-    good = {"chain": paper_chain(1, 1.2, None), "region": basins.Box(), "t1": 100.0}
+    good = {"model": paper_chain(1, 1.2, None), "region": basins.Box(), "t1": 100.0}
     few = tuple(x for x in COUNT if x not in (0, 1, 10**30))
     bad = {
-        "chain": A_CHAIN, "region": (*WRONG, basins.Box, (-2, 2)),
+        "model": A_CHAIN, "region": (*WRONG, basins.Box, (-2, 2)),
         "over": ("x", 3.0, [1.0], {"state": [1.0]}, {"speed": [1.0]}, {"belt_speed": []}),
         "half_width": (*NUMBER, 0.0, 1.0, -1.0), "classify": ("x", {}, 3.0, basins.Box()),
         "points": WORD, "replicates": (*COUNT, 3), "most": (*few, 10),

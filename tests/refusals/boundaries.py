@@ -47,14 +47,14 @@ def rows() -> Iterator[Row]:
 def _equilibria() -> Iterator[Row]:
     unequal, unknown = (REST[0], jnp.zeros(2)), (REST[0], [math.nan] * 3)
     model = {
-        "chain": A_CHAIN,
+        "model": A_CHAIN,
         "guess": ("x", 3.0, REST[0], (REST[0],), unequal, unknown),
     }
     search = {"tolerance": POSITIVE, "max_steps": optional(COUNT), "throw": FLAG}
-    good = {"chain": CHAIN, "guess": REST}
+    good = {"model": CHAIN, "guess": REST}
     yield Row("find_equilibrium", boundaries.find_equilibrium, good, model | search)
     standing = Told(DRY.with_(belt_speed=0.0), "`belt_speed` = 0")
-    named = model | {"parameter": WORD, "chain": (*A_CHAIN, standing)}
+    named = model | {"parameter": WORD, "model": (*A_CHAIN, standing)}
     yield Row(
         "find_hopf_point", boundaries.find_hopf_point, good | {"parameter": "belt_speed"},
         named | search | {"frequency": optional(NUMBER)},
@@ -85,7 +85,7 @@ def _equilibria() -> Iterator[Row]:
     yield Row(
         "find_special_cycle", boundaries.find_special_cycle, {"point": fold},
         {
-            "point": (None, "x", {}, 3.0, ONE, Told(hopf, "hopf")), "chain": optional(A_CHAIN),
+            "point": (None, "x", {}, 3.0, ONE, Told(hopf, "hopf")), "model": optional(A_CHAIN),
             **search,
         },
     )  # fmt: skip

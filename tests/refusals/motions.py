@@ -51,22 +51,22 @@ def _chaos() -> Iterator[Row]:
     times = dict.fromkeys(("first", "longest", "exponent_time", "window"), POSITIVE)
     counts = dict.fromkeys(("seeds", "exponent_runs", "count", "lanes"), COUNT)
     settings = {
-        **times, **counts, "chain": A_CHAIN, "solver": SOLVERS, "rtol": (*POSITIVE, 2.0),
+        **times, **counts, "model": A_CHAIN, "solver": SOLVERS, "rtol": (*POSITIVE, 2.0),
         "noise": (None, "x", {}, 1.0, [-1.0], [math.nan], ["a"], [[1.0]]),
         "criteria": ("x", 3, {}, Criteria), "key": (None, "x", {}, -1, 1.5, math.nan),
         "progress": FLAG, "description": (3, None),
     }  # fmt: skip
-    good = {"chain": DRY, "initial": START}
+    good = {"model": DRY, "initial": START}
     yield Row("verdict", chaos.verdict, good, {**settings, "initial": states(3)})
     several = (*states(3)[:8], START, ({}, {}))
-    good = {"chain": DRY, "initials": (jnp.ones((2, 3)), jnp.zeros((2, 3)))}
+    good = {"model": DRY, "initials": (jnp.ones((2, 3)), jnp.zeros((2, 3)))}
     yield Row("verdicts", chaos.verdicts, good, {"initials": several, "lanes": (0,)})
     yield Row("Criteria", Criteria, {}, {field.name: POSITIVE for field in fields(Criteria)})
     yield Row(
         "lyapunov_spectrum", chaos.lyapunov_spectrum,
-        {"chain": CHAIN, "initial": START, "t1": 100.0},
+        {"model": CHAIN, "initial": START, "t1": 100.0},
         {
-            "chain": A_CHAIN, "initial": states(3), "t1": (*NUMBER, 0.0),
+            "model": A_CHAIN, "initial": states(3), "t1": (*NUMBER, 0.0),
             "count": (*optional(COUNT), 7), "transient": (*NONNEGATIVE, 200.0),
             "interval": (*optional(POSITIVE), 50.0), "blocks": (*COUNT, 1, 10**9),
             "solver": SOLVERS, "rtol": TOLERANCE, "atol": (*optional(POSITIVE), 1e-300),

@@ -28,9 +28,9 @@ STATE = (jnp.full(3, 2.0), jnp.zeros(3))
 
 
 def rows() -> Iterator[Row]:
-    film = {"chain": CHAIN, "times": TIMES, "states": FILM}
+    film = {"model": CHAIN, "times": TIMES, "states": FILM}
     frames = {
-        "chain": A_CHAIN,
+        "model": A_CHAIN,
         "times": (
             None, "x", {}, Told(3.0, r"\(\)"), Told([1.0], r"\(1,\)"), [1.0, math.nan, 2.0],
             Told([3.0, 2.0, 1.0], r"\(3,\)"),
@@ -52,15 +52,15 @@ def rows() -> Iterator[Row]:
     bad = {"animation": (None, "x"), "path": (None, 3, {}, "film.png"), "dpi": POSITIVE}
     yield Row("save_gif", plotting.save_gif, good, bad)
     yield Row(
-        "loop", plotting.loop, {"chain": CHAIN, "state": STATE},
+        "loop", plotting.loop, {"model": CHAIN, "state": STATE},
         {
-            "chain": A_CHAIN, "state": states(3), "frames": COUNT, "solver": SOLVERS,
+            "model": A_CHAIN, "state": states(3), "frames": COUNT, "solver": SOLVERS,
             "longest": POSITIVE, "tolerance": POSITIVE,
         },
     )  # fmt: skip
     parts = (None, "x", {}, Told((1, 2), r"\(\)"), (FILM[0],), (FILM[0], np.ones((3, 2))))
-    good = {"chain": CHAIN, "states": FILM}
-    yield Row("sticking", plotting.sticking, good, {"chain": A_CHAIN, "states": parts})
+    good = {"model": CHAIN, "states": FILM}
+    yield Row("sticking", plotting.sticking, good, {"model": A_CHAIN, "states": parts})
     yield from _drawings()
 
 
@@ -88,7 +88,7 @@ def _plots() -> Iterator[Row]:
     film = {"times": TIMES, "states": FILM}
     times = (None, "x", Told(3.0, r"\(\)"), [1.0, math.nan, 2.0], Told([3.0, 2.0, 1.0], r"\(3,\)"))
     films = (None, "x", {}, (1,), Told((1, 2), r"\(\)"), (FILM[0], np.ones((3, 2))))
-    motion = {**every, "states": films, "masses": masses, "chain": optional(A_CHAIN)}
+    motion = {**every, "states": films, "masses": masses, "model": optional(A_CHAIN)}
     bad = {**motion, "times": times, "y": WORD}
     yield Row("plot_time_series", plotting.plot_time_series, film, bad)
     yield Row(

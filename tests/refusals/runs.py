@@ -49,7 +49,7 @@ TOO_LONG = (
 # Of an array of numbers, one for each mass.
 ARRAY = (None, "x", {}, object, 3.0, [], [1j])
 RUN = {
-    "chain": A_CHAIN, "t1": NUMBER, "t0": NUMBER, "rtol": TOLERANCE,
+    "model": A_CHAIN, "t1": NUMBER, "t0": NUMBER, "rtol": TOLERANCE,
     "atol": (*optional(POSITIVE), 1e-300), "max_step": optional(POSITIVE),
     "max_steps": optional(COUNT),
     "accuracy": (*optional(POSITIVE), 1e-12, 2.0), "solver": SOLVERS,
@@ -68,7 +68,7 @@ def rows() -> Iterator[Row]:
     yield from _observers()
     yield from _quantities()
     yield from _solvers()
-    run = {"chain": CHAIN, "initial": START, "t1": 1.0}
+    run = {"model": CHAIN, "initial": START, "t1": 1.0}
     yield Row(
         "simulate", simulate, run,
         {
@@ -77,14 +77,14 @@ def rows() -> Iterator[Row]:
         },
     )  # fmt: skip
     yield Row(
-        "simulate, dry", simulate, {**run, "chain": DRY},
+        "simulate, dry", simulate, {**run, "model": DRY},
         {
             "solver": (*SOLVERS, Rodas4(), dfx.Tsit5()), "t1": NUMBER, "max_steps": (10**30,),
             "adjoint": ("x", dfx.DirectAdjoint(), dfx.BacksolveAdjoint()),
         },
     )  # fmt: skip
-    bad = {"chain": A_CHAIN, "accuracy": (*POSITIVE, 1e-12, 2.0)}
-    numerics = {"chain": CHAIN, "accuracy": 1e-3}
+    bad = {"model": A_CHAIN, "accuracy": (*POSITIVE, 1e-12, 2.0)}
+    numerics = {"model": CHAIN, "accuracy": 1e-3}
     yield Row("choose_numerics", simulation.choose_numerics, numerics, bad)
     yield from _sweep()
 
@@ -173,7 +173,7 @@ def _sweep() -> Iterator[Row]:
     two = lambda chain, other: START  # noqa: E731
     yield Row(
         "sweep", run_sweep,
-        {"chain": CHAIN, "initial": START, "t1": 1.0, "over": {"belt_speed": [1.0]}},
+        {"model": CHAIN, "initial": START, "t1": 1.0, "over": {"belt_speed": [1.0]}},
         {
             **RUN,
             "initial": (

@@ -108,30 +108,30 @@ def _branches() -> Iterator[Row]:
 
 def _cycles() -> Iterator[Row]:
     yield Row(
-        "find_limit_cycle", cycles.find_limit_cycle, {"chain": CHAIN},
+        "find_limit_cycle", cycles.find_limit_cycle, {"model": CHAIN},
         {
-            "chain": A_CHAIN, "guess": optional(states(3)), "mass": VIBRATING,
+            "model": A_CHAIN, "guess": optional(states(3)), "mass": VIBRATING,
             "branch": WORD, "images": IMAGES, "rtol": (*POSITIVE, 2.0), "tolerance": POSITIVE,
             "max_steps": optional(COUNT), "throw": FLAG, "period": (6.0, "x"),
         },
     )  # fmt: skip
-    given = {"chain": CHAIN, "guess": STATE, "period": 6.0}
+    given = {"model": CHAIN, "guess": STATE, "period": 6.0}
     yield Row("find_limit_cycle, guess", cycles.find_limit_cycle, given,
               {"period": optional(POSITIVE)})  # fmt: skip
     many = tuple(jnp.stack([jnp.asarray(part)] * 2) for part in STATE)
     yield Row(
         "find_limit_cycles", cycles.find_limit_cycles,
-        {"chain": CHAIN, "guesses": (many, jnp.full(2, 6.0))},
+        {"model": CHAIN, "guesses": (many, jnp.full(2, 6.0))},
         {
-            "chain": (*A_CHAIN, NO_DRY), "known": (None, 1.0, [STATE]), "mass": VIBRATING,
+            "model": (*A_CHAIN, NO_DRY), "known": (None, 1.0, [STATE]), "mass": VIBRATING,
             "guesses": (None, "x", {}, object, 0, (STATE, 6.0), (many, jnp.full(3, 6.0))),
             "rounds": COUNT, "lanes": COUNT, "key": (None, "x", -1, 1.5), "rtol": (*POSITIVE, 2.0),
             "tolerance": POSITIVE, "max_steps": optional(COUNT), "progress": FLAG,
         },
     )  # fmt: skip
-    orbit = {"chain": CHAIN, "state": STATE, "period": 6.0}
+    orbit = {"model": CHAIN, "state": STATE, "period": 6.0}
     of_orbit = {
-        "chain": (*A_CHAIN, NO_DRY), "state": states(3), "period": POSITIVE,
+        "model": (*A_CHAIN, NO_DRY), "state": states(3), "period": POSITIVE,
         "rtol": (*POSITIVE, 2.0),
     }  # fmt: skip
     yield Row(
@@ -143,17 +143,17 @@ def _cycles() -> Iterator[Row]:
             "tolerance": POSITIVE, "keep_part": FLAG,
         },
     )  # fmt: skip
-    yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"chain": (*A_CHAIN, CHAIN)})
+    yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"model": (*A_CHAIN, CHAIN)})
     yield Row(
         "cycle_symmetry",
         cycles.cycle_symmetry,
         orbit,
-        {"chain": A_CHAIN, "state": states(3), "period": POSITIVE, "tolerance": POSITIVE},
+        {"model": A_CHAIN, "state": states(3), "period": POSITIVE, "tolerance": POSITIVE},
     )
     wrong = {"branch": None, "point": None}
     yield Row("switch_cycle", cycles.switch_cycle, wrong, {"branch": (None, "x", 3)})
     yield Row("liouville_determinant", cycles.liouville_determinant, orbit, of_orbit)
-    both = of_orbit | {"chain": A_CHAIN}  # dry or smoothed
+    both = of_orbit | {"model": A_CHAIN}  # dry or smoothed
     yield Row("monodromy_matrix", cycles.monodromy_matrix, orbit, both)
     matrix = (None, "x", {}, 3.0, jnp.ones(2), jnp.ones((2, 3)))
     yield Row(
@@ -171,9 +171,9 @@ def _cycles() -> Iterator[Row]:
     bad = {"monodromy": matrix, "trace": (None, "x", {}, [1.0, 2.0], 1j)}
     yield Row("liouville_defect", cycles.liouville_defect, good, bad)
     yield Row(
-        "guess_from_simulation", cycles.guess_from_simulation, {"chain": CHAIN, "state": STATE},
+        "guess_from_simulation", cycles.guess_from_simulation, {"model": CHAIN, "state": STATE},
         {
-            "chain": A_CHAIN, "state": states(3), "mass": VIBRATING,
+            "model": A_CHAIN, "state": states(3), "mass": VIBRATING,
             "transient": NONNEGATIVE, "duration": POSITIVE,
         },
     )  # fmt: skip

@@ -92,7 +92,7 @@ def loose(constant):
 
 
 def smoothed(**changes):
-    return {"chain": paper_chain(2, belt_speed=1.4, width=1e-2)} | changes
+    return {"model": paper_chain(2, belt_speed=1.4, width=1e-2)} | changes
 
 
 def numbers(scale):
@@ -123,39 +123,39 @@ CHANGES = {
     "solver's setting": (
         {"solver": EventDriven()}, {"solver": EventDriven(order=8)}, r"solver"
     ),
-    "n": ({}, {"chain": paper_chain(3, 1.4, None)}, r"chain.n was 2 and is 3"),
+    "n": ({}, {"model": paper_chain(3, 1.4, None)}, r"chain.n was 2 and is 3"),
     "ends": (
-        {"chain": Chain(2, CHAIN.law, 1.4, coupling=0.1)},
-        {"chain": Chain(2, CHAIN.law, 1.4, coupling=0.1, ends="free")},
+        {"model": Chain(2, CHAIN.law, 1.4, coupling=0.1)},
+        {"model": Chain(2, CHAIN.law, 1.4, coupling=0.1, ends="free")},
         r"chain.ends was cyclic and is free",
     ),
     "chain number": (
-        {}, {"chain": CHAIN.with_(damping_ratio=0.04)}, r"damping_ratio was 0.05 and is 0.04"
+        {}, {"model": CHAIN.with_(damping_ratio=0.04)}, r"damping_ratio was 0.05 and is 0.04"
     ),
     "masses": (
-        {"chain": CHAIN.with_(stiffness=numbers(1.0))},
-        {"chain": CHAIN.with_(stiffness=numbers(1.1))},
+        {"model": CHAIN.with_(stiffness=numbers(1.0))},
+        {"model": CHAIN.with_(stiffness=numbers(1.1))},
         r"chain.stiffness was \[1.0, 2.0\] and is \[1.1, 2.2\]",
     ),
     "many masses": (
-        {"chain": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.1, 9))},
-        {"chain": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.2, 9))},
+        {"model": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.1, 9))},
+        {"model": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.2, 9))},
         r"chain.stiffness has changed",
     ),
     "law's number": (
-        {}, {"chain": CHAIN.with_(mu_static=1.1)}, r"chain.mu_static was 1.0 and is 1.1"
+        {}, {"model": CHAIN.with_(mu_static=1.1)}, r"chain.mu_static was 1.0 and is 1.1"
     ),
     "law": (
-        {"chain": own(Law())}, {"chain": own(ExponentialDecay(1.0, 0.5, 0.5))},
+        {"model": own(Law())}, {"model": own(ExponentialDecay(1.0, 0.5, 0.5))},
         r"friction.law was Law and is ExponentialDecay",
     ),
-    "own law": ({"chain": own(Law())}, {"chain": own(Other())}, r"friction.curve has changed"),
+    "own law": ({"model": own(Law())}, {"model": own(Other())}, r"friction.curve has changed"),
     "own law's setting": (
-        {"chain": own(Law())}, {"chain": own(Law(power=2))}, r"friction.curve has changed"
+        {"model": own(Law())}, {"model": own(Law(power=2))}, r"friction.curve has changed"
     ),
-    "table": ({"chain": tabulated(0.6)}, {"chain": tabulated(0.65)}, r"friction.curve has chang"),
+    "table": ({"model": tabulated(0.6)}, {"model": tabulated(0.65)}, r"friction.curve has chang"),
     "width": (
-        smoothed(), {"chain": paper_chain(2, 1.4, 2e-2)}, r"chain.width was 0.01 and is 0.02"
+        smoothed(), {"model": paper_chain(2, 1.4, 2e-2)}, r"chain.width was 0.01 and is 0.02"
     ),
     "smoothed": ({}, smoothed(), r"chain.width was absent and is 0.01"),
     "observer": ({}, {"observe": PeakTimes(3)}, r"observers.1.kind was Amplitude"),
@@ -213,7 +213,7 @@ CHANGES = {
 
 def known(lanes=4, over=OVER, **changes):
     """By what a store would know such a sweep."""
-    given: Any = {"chain": CHAIN, "initial": equation_8, "t1": 20.0}
+    given: Any = {"model": CHAIN, "initial": equation_8, "t1": 20.0}
     fields = ("solver", "rtol", "atol", "max_step", "max_steps")
     method = Method(**{name: changes.pop(name) for name in fields if name in changes})
     given |= {"observe": Amplitude(window=5.0), "method": method}
@@ -248,7 +248,7 @@ def test_a_number_that_an_observer_finds_elsewhere_counts(monkeypatch):
     "change",
     [
         {"initial": lambda chain, excited: equation_8(chain, excited)},  # under another name
-        {"chain": CHAIN.with_(belt_speed=3.0)},  # which is swept
+        {"model": CHAIN.with_(belt_speed=3.0)},  # which is swept
         {"over": OVER | {"belt_speed": [1.0, 7.0]}},  # a store compares the values itself
         {"t1": 20},
     ],
