@@ -129,8 +129,8 @@ def area_of_step(
     x, v = hermite(start, end, h)
     # The place of a cut at a turn of the curve has no effect, so it has no derivatives.
     turning = lax.stop_gradient(jnp.stack([v, jnp.append(_derivative(v), 0.0)]))
-    turns, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
-    ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(turns), jnp.ones(1)]))
+    extremes, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
+    ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(extremes), jnp.ones(1)]))
     # The four lines, on each of the three parts.
     lines = jnp.zeros((4, 6))
     lines = lines.at[:2].set(x).at[2:, :5].set(v)
@@ -391,10 +391,10 @@ def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
         tops = jnp.sort(jnp.concatenate([tops, jnp.maximum(layer, tops[0])]))
 
     def gain(tops: Array) -> tuple[Array, Array]:
-        turns = jax.vmap(lambda top: return_map(mass, top))(tops)
-        values = jnp.log(turns.fastest / tops)
+        returns = jax.vmap(lambda top: return_map(mass, top))(tops)
+        values = jnp.log(returns.fastest / tops)
         # A mass that leaves the belt and sticks again has lost nothing.
-        return jnp.where(turns.sticks, jnp.maximum(values, _STUCK), values), turns.ended
+        return jnp.where(returns.sticks, jnp.maximum(values, _STUCK), values), returns.ended
 
     values, ended = gain(tops)
     index = jnp.arange(tops.size)

@@ -162,7 +162,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     averaged, averaged_s, exists = fold_guess(alone)
     boundary_layer = slopes.boundary_layer(width)
     # In a thin layer use the asymptotics; otherwise averaging gives the better s and belt speed.
-    narrow, touches = dry.turns & (width < _SET.thick * scale), dry.ratio >= 1.0
+    narrow, touches = dry.is_fold & (width < _SET.thick * scale), dry.ratio >= 1.0
     layered = narrow & touches & jnp.isfinite(boundary_layer.scaled_peak_velocity)
     # A saddle-node of slip cycles hardly moves, except to stay out of the layer.
     free = narrow & ~touches
@@ -172,7 +172,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     )
     moved = jnp.where(layered, moved, dry.q)
     # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
-    factor = jnp.where(dry.turns, dry_speed / summits.speeds[0], 1.0)
+    factor = jnp.where(dry.is_fold, dry_speed / summits.speeds[0], 1.0)
     speed = jnp.where(thin, moved[-1], averaged * factor)
     s = jnp.where(layered, boundary_layer.scaled_peak_velocity, averaged_s)
     s = jnp.where(free, jnp.minimum(dry.w / width, usual_peak_velocity(width / dry_speed)), s)
@@ -206,8 +206,8 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
         loose=jnp.where(good, _SET.rtol, loose_rtol(chain)),
         hopeful=~none & damped & exists & sound,
         result=without_fold(failed, exists, damped, none),
-        unstable=dry.turns & unstable,
-        weakly_unstable=dry.turns & ~unstable,
+        unstable=dry.is_fold & unstable,
+        weakly_unstable=dry.is_fold & ~unstable,
         slopes=slopes,
     )
 

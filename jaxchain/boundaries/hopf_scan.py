@@ -440,7 +440,7 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
                     points.append(Crossing(speed, frequency, shape, np.nan, int(count)))
         # The crossings must explain the change of the number of unstable pairs.
         unstable = [int((np.real(eigenvalues(speed)) > 0).sum()) // 2 for speed in (first, last)]
-        gained = sum(c.multiplicity * _turns(chain, c) for c in points)
+        gained = sum(c.multiplicity * _growth_direction(chain, c) for c in points)
         if first > least and last < greatest and unstable[1] - unstable[0] != gained:
             raise RuntimeError(
                 f"Between the belt speeds {first} and {last} the number of growing modes changes "
@@ -451,7 +451,7 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
         yield from points
 
 
-def _turns(chain: Chain, crossing: Crossing) -> int:
+def _growth_direction(chain: Chain, crossing: Crossing) -> int:
     """+1 if the mode begins to grow as the speed grows, -1 if it ceases to."""
     speed, omega, u = crossing.speed, crossing.frequency, crossing.shape
     D, up, down = _damping(chain, speed * np.array([1.0, 1.0 + 1e-7, 1.0 - 1e-7]))

@@ -272,8 +272,8 @@ def complex_modes(
         as_parameter(model, name, "over")
         values = as_array(f"over[{name!r}]", values, 1, 1, "the values of the parameter.")
         check_finite(f"over[{name!r}]", values)
-        turns = () if is_traced(values) else np.sign(np.diff(np.asarray(values)))
-        if len(set(turns)) > 1 or 0.0 in set(turns):
+        signs = () if is_traced(values) else np.sign(np.diff(np.asarray(values)))
+        if len(set(signs)) > 1 or 0.0 in set(signs):
             raise ValueError(
                 f"Argument `over[{name!r}]` must increase or decrease, but is {shown(values)}: a "
                 "mode is followed from value to value."

@@ -263,7 +263,7 @@ class _CycleEquations(eqx.Module):
         """ "small" if the amplitude vanishes, "lost" if there is no cycle, else ""."""
         if not extra.sound:
             return "lost"
-        small = self.shooting.turns is None and extra.speed < _SMALL * first.speed
+        small = self.shooting.forcing_periods is None and extra.speed < _SMALL * first.speed
         return "small" if small else ""
 
     def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
@@ -568,7 +568,8 @@ def _find(
     root, result, steps = solve(both, lax.stop_gradient(U), weights, tolerance, limit)
     left, extra = both(root)[2]
     result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
-    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | (given.shooting.turns is not None))
+    forced = given.shooting.forcing_periods is not None
+    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | forced)
     lost = (result == SearchResult.successful) & ~moves
     result = SearchResult.where(lost, SearchResult.steady_sliding, result)
     if frozen.dry:
@@ -964,7 +965,7 @@ def _limits(equations: Any, U: np.ndarray) -> dict[str, tuple[float, float]]:
     """The ranges of both numbers that have such points, on the side of the start."""
     limits = {}
     hopf = equations.kind == "hopf"
-    driven = equations.field.dry if hopf else equations.shooting.turns is None
+    driven = equations.field.dry if hopf else equations.shooting.forcing_periods is None
     for name, value in zip(equations.names, U[-2:], strict=True):
         signed = equations.field.parameter(name).sign != "any"
         ends_at_0 = signed or (driven and name == "belt_speed" and value != 0)

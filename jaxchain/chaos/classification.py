@@ -527,8 +527,8 @@ def symmetry_defect(
         difference = (first - first[:, image])[:, moved] / period
         shifts = (0.0,) if np.any(active & ~moved) else (0.0, 0.5)
         for shift in shifts:
-            turns = difference - shift
-            motions.append(np.max(np.abs(turns - np.round(turns)), axis=1, initial=0.0))
+            windings = difference - shift
+            motions.append(np.max(np.abs(windings - np.round(windings)), axis=1, initial=0.0))
     if not motions:
         return np.full(len(first), np.nan)
     return min(motions, key=lambda series: series[0])

@@ -176,8 +176,8 @@ def _fold_point(
     phi, psi, _ = _bordered(full[:, :-1], borders)
     psi = rows * psi
     share = jnp.sum(psi * full[:, -1] / rows) / jnp.sqrt(jnp.sum(psi**2))
-    turns = ~root.successful | (jnp.abs(share) > _LEAST_SLOPE)
-    result = SearchResult.where(turns, root.result, SearchResult.branches_cross)
+    is_fold = ~root.successful | (jnp.abs(share) > _LEAST_SLOPE)
+    result = SearchResult.where(is_fold, root.result, SearchResult.branches_cross)
     return FoldPoint(
         u=root.value[:-1],
         p=root.value[-1],

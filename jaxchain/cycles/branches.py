@@ -51,9 +51,9 @@ from .floquet import (
     LimitCycle,
     as_orbit,
     check_orbit,
+    forcing_periods_of,
     is_trusted,
     orbit_multipliers,
-    turns_of,
 )
 from .shooting import Shooting, residual
 from .symmetry import (
@@ -238,7 +238,7 @@ def with_less_symmetry(
         _, state, period = shooting.unpack(z[:-1], z[-1])
         return jnp.append(full.pack(state, period, z[-1]), z[-1])
 
-    if shooting.turns is None:  # along the motion to the section
+    if shooting.forcing_periods is None:  # along the motion to the section
         field, start = full.at(p), tuple(map(jnp.asarray, point.state))
         pushes = tuple(jnp.asarray(part) for part in null.reshape(m, n))
 
@@ -300,7 +300,7 @@ def linearise(
     parameters = parameter if isinstance(parameter, tuple) else (parameter,)
     r, jacobian, whole = shooting.linearise(u, *parameters)
     field, state, period = shooting.unpack(u, *parameters)
-    f = None if shooting.turns else jnp.concatenate(field(0.0, state))
+    f = None if shooting.forcing_periods else jnp.concatenate(field(0.0, state))
     floquet = orbit_multipliers(whole.monodromy, f)
     sound = field.can_be_cycle(period, whole.fastest)
     extra = CycleLinearisation(
@@ -451,7 +451,7 @@ def special_tests(
         speed = float(extra.speed)
         return 0.0 if abs(speed) < 1e-4 else speed
 
-    images, m, forced = shooting.images, shooting.m, shooting.turns is not None
+    images, m, forced = shooting.images, shooting.m, shooting.forcing_periods is not None
     symmetric = len(set(images)) < len(images) or shooting.shift is not None
     of: dict[str, Callable[[Any], float]] = {} if forced else {"hopf": vanishing}
     # One multiplier besides the trivial one is never negative.
@@ -467,7 +467,7 @@ def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
     m = shooting.size
     weights = np.full(m + 1, len(shooting.solved) ** -0.5)
     weights[shooting.place] = 1.0
-    if shooting.turns is None:
+    if shooting.forcing_periods is None:
         weights[m - 1] = 1.0
     weights[m] = 1.0 / (abs(p) or 1.0)
     return weights
@@ -762,8 +762,11 @@ def continue_cycle(
     mass = int(as_mass(n, mass, int(jnp.argmax(field.belt_direction() * velocity))))
     p = float(as_parameter(field, parameter))
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
-    (images, shift), turns = as_symmetry(images, field, state, mass), turns_of(field, period)
-    shooting = Shooting(field, rtol, solver, mass, images, parameter, len(state), turns, shift)
+    images, shift = as_symmetry(images, field, state, mass)
+    forcing_periods = forcing_periods_of(field, period)
+    shooting = Shooting(
+        field, rtol, solver, mass, images, parameter, len(state), forcing_periods, shift
+    )
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):
@@ -859,7 +862,7 @@ def _follow(
     less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
     weights, tests = cycle_weights(shooting, p), special_tests(shooting, motions)
-    first, forced = True, shooting.turns is not None
+    first, forced = True, shooting.forcing_periods is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
         nonlocal first

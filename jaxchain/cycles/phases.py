@@ -46,7 +46,7 @@ from ..simulation.run import simulate
 from ..solvers.dormand_prince import step as step_of_order_8
 from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion
 from .averaging import graded
-from .floquet import turns_of
+from .floquet import forcing_periods_of
 from .shooting import Shooting
 
 KINDS = ("grazing", "release", "stick onset")
@@ -90,7 +90,7 @@ class Phases(eqx.Module):
       landing is a "stick onset"); `onsets`: (event, mass, -1 if it sticks there) of landings that
       are no image of the special event; `alike`: the masses that move like that of the special
       event.
-    - `parameter`, `m`, `turns`: as in `Shooting`; `steps` in each phase.
+    - `parameter`, `m`, `forcing_periods`: as in `Shooting`; `steps` in each phase.
     """
 
     field: Any
@@ -103,7 +103,7 @@ class Phases(eqx.Module):
     alike: tuple[int, ...] = eqx.field(static=True, default=())
     steps: int = eqx.field(static=True, default=_STEPS)
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
-    turns: int | None = eqx.field(static=True, default=None)
+    forcing_periods: int | None = eqx.field(static=True, default=None)
 
     at = Shooting.at
 
@@ -115,7 +115,7 @@ class Phases(eqx.Module):
     @property
     def size(self) -> int:
         """The number of unknowns."""
-        return self.m * self.n + (self.turns is not None) + len(self.events)
+        return self.m * self.n + (self.forcing_periods is not None) + len(self.events)
 
     @property
     def slips(self) -> bool:
@@ -162,7 +162,7 @@ class Phases(eqx.Module):
         place, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
         modes = jnp.asarray(self.modes)
         scale = 1.0 + jnp.abs(field.belt_speed)
-        begin = u[d] if self.turns is not None else jnp.zeros(())
+        begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
 
         def parts(z: Array) -> tuple[Array, State]:
             return z[0], tuple(jnp.split(z[1:], self.m))
@@ -221,8 +221,8 @@ class Phases(eqx.Module):
         if self.slips:  # or steady sliding would be a solution
             gap = gap / state[place][self.mass]
         gaps = [gap, *(value(k, e, sign)[None] for k, (e, _, sign) in enumerate(self.events))]
-        if self.turns is not None:
-            gaps.append((period - self.turns * to_float(field.forcing_period()))[None])
+        if self.forcing_periods is not None:
+            gaps.append((period - self.forcing_periods * to_float(field.forcing_period()))[None])
         if self.special is not None:
             k, kind, sign = self.special
             gaps.append(value(k, "landing" if kind == "grazing" else "release", sign)[None])
@@ -369,7 +369,7 @@ def phases_of(
         alike=tuple(alike),
         steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
         m=len(state),
-        turns=turns_of(chain, period),
+        forcing_periods=forcing_periods_of(chain, period),
     )
     return phases, jnp.asarray(u)
 

@@ -386,8 +386,8 @@ def loop(
     check_positive_number("longest", longest, "100 is some sixteen periods.")
     check_positive_number("tolerance", tolerance, "1e-2 cannot be seen.")
     state, solver = as_state(model, state, "state"), custom_solver(model, solver)
-    turns = Section(most_lively(model, state), capacity=256)
-    run = simulate(model, state, longest, observe=turns, solver=solver)
+    crossings = Section(most_lively(model, state), capacity=256)
+    run = simulate(model, state, longest, observe=crossings, solver=solver)
     at, x, v = (np.asarray(part) for part in run.observed)
     if np.count_nonzero(np.isfinite(at)) < 2:
         raise RuntimeError(

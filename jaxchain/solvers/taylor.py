@@ -728,8 +728,8 @@ def _time_inside(q: Any, slope: Any, lower: Any, upper: Any, curvature: Any) -> 
     ahead, behind = jnp.where(rises, up, down), jnp.where(rises, down, up)
     speed = jnp.abs(slope)
     more = ahead - behind
-    turns = (more > 0) & (4.0 * speed**2 * (ahead + behind) < curvature * more**2)
-    distance = jnp.where(turns, behind, ahead)
+    behind_first = (more > 0) & (4.0 * speed**2 * (ahead + behind) < curvature * more**2)
+    distance = jnp.where(behind_first, behind, ahead)
     root = speed + jnp.sqrt(speed**2 + 2.0 * curvature * distance)
-    covered = jnp.where(turns, root, 2.0 * distance)
-    return covered / jnp.maximum(jnp.where(turns, curvature, root), 1e-300)
+    covered = jnp.where(behind_first, root, 2.0 * distance)
+    return covered / jnp.maximum(jnp.where(behind_first, curvature, root), 1e-300)

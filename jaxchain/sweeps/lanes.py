@@ -338,9 +338,9 @@ def advance_pool(
         lane, over = jax.vmap(lambda *each: advance_lane(task, *each))(pool.lane, pool.job < 0)
         pool = eqx.tree_at(lambda p: p.lane, pool, lane)
         # This costs as much as some steps.
-        turns = jnp.any(over & ((pool.job >= 0) | (pool.taken < waiting)))
-        turn = functools.partial(_next_runs, task, starts, queue, waiting)
-        return lax.cond(turns, turn, lambda pool, over: pool, pool, over), done + 1
+        has_next = jnp.any(over & ((pool.job >= 0) | (pool.taken < waiting)))
+        next_runs = functools.partial(_next_runs, task, starts, queue, waiting)
+        return lax.cond(has_next, next_runs, lambda pool, over: pool, pool, over), done + 1
 
     pool, done = lax.while_loop(goes_on, one_more, (pool, jnp.zeros_like(rounds)))
     return jtu.tree_leaves(pool.lane), {
