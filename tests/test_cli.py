@@ -284,9 +284,9 @@ def test_a_signal_keeps_finished_runs(workplace, made_up_sweep, monkeypatch, cap
 def test_results_that_do_not_fit_are_saved_elsewhere(
     workplace, made_up_sweep, monkeypatch, capsys
 ):
-    place = Path("tmp").absolute()  # from Python 3.12 on the folders in it have whole paths anyway
-    place.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    path = Path("tmp").absolute()  # from Python 3.12 on the folders in it have whole paths anyway
+    path.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(path))
 
     def full(self, name):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -301,7 +301,7 @@ def test_results_that_do_not_fit_are_saved_elsewhere(
     first, second, *_ = capsys.readouterr().err.splitlines()
     message = "cannot write `first` into results/two: No space left on device."
     assert first.startswith(f"jaxchain: {message} What was saved")
-    (store,) = place.glob("jaxchain-*/two.zarr")
+    (store,) = path.glob("jaxchain-*/two.zarr")
     assert second == f"jaxchain: `first` is saved in {store} instead"
     assert not Path("results/two").exists()
     assert list(stored(store.with_suffix(""))) == ["first"]

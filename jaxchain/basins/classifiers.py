@@ -338,8 +338,8 @@ class VibratingMasses(AbstractClassifier):
             return np.stack(counts, axis=1)
         if self.by == "ring":
             _check_alike(model)
-            different, places = np.unique(codes, axis=0, return_inverse=True)
-            return np.array([_canonical(code, model) for code in different])[places.ravel()]
+            different, inverse = np.unique(codes, axis=0, return_inverse=True)
+            return np.array([_canonical(code, model) for code in different])[inverse.ravel()]
         return codes
 
     def name(self, code: Int[np.ndarray, " k"], model: Any) -> str:

@@ -127,7 +127,7 @@ def area_of_step(
     3.141592654
     """
     x, v = hermite(start, end, h)
-    # The place of a cut at a turn of the curve has no effect, so it has no derivatives.
+    # The position of a cut at a turn of the curve has no effect, so it has no derivatives.
     turning = lax.stop_gradient(jnp.stack([v, jnp.append(_derivative(v), 0.0)]))
     extremes, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
     ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(extremes), jnp.ones(1)]))
@@ -137,8 +137,8 @@ def area_of_step(
     lines = lines.at[:, 0].add(-jnp.concatenate([displacement, velocity]))
     cuts, crosses = crossing(jnp.broadcast_to(lines, (3, 4, 6)), ends[:-1, None], ends[1:, None])
     cuts = jnp.where(crosses, cuts, ends[1:, None])
-    places = jnp.sort(jnp.concatenate([ends, cuts.ravel()]))
-    low, length = places[:-1], jnp.diff(places)
+    edges = jnp.sort(jnp.concatenate([ends, cuts.ravel()]))
+    low, length = edges[:-1], jnp.diff(edges)
     nodes, weights = gauss(_NODES)
     s = low[:, None] + length[:, None] * nodes[None]
     speed = _value(v, s)
@@ -359,7 +359,7 @@ _SHARES = np.concatenate([_INNER, _MIDDLE, _OUTER, [1.0]])
 # In widths below the velocity at which a mass sticks: the layer in which friction is smoothed.
 _LAYER = np.geomspace(40.0, 0.05, 16)
 # Points of each refinement, and their number; a secant does the rest.
-_PLACES, _LOOKS = 16, 8
+_SAMPLES, _LOOKS = 16, 8
 # For a turn that begins and ends where the mass leaves the belt.
 _STUCK = 1e-12
 # In steady sliding, smoothed friction falls as the speed rises; otherwise the mass creeps.
@@ -408,13 +408,13 @@ def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
 
     def look(ends: Array) -> tuple[Array, Array]:
         def closer(_: Any, now: tuple[Array, Array]) -> tuple[Array, Array]:
-            places = jnp.linspace(now[0][0], now[0][1], _PLACES)
-            values, _ = gain(places)
+            points = jnp.linspace(now[0][0], now[0][1], _SAMPLES)
+            values, _ = gain(points)
             inside = (values[:-1] <= 0) & (values[1:] > 0)
-            best = jnp.clip(jnp.argmax(values), 1, _PLACES - 2)
+            best = jnp.clip(jnp.argmax(values), 1, _SAMPLES - 2)
             first = jnp.where(jnp.any(inside), jnp.argmax(inside), best - 1)
             both = first + jnp.stack([0, jnp.where(jnp.any(inside), 1, 2)])
-            return places[both], values[both]
+            return points[both], values[both]
 
         (low, high), (before, after) = lax.fori_loop(0, _LOOKS, closer, (ends, jnp.zeros(2)))
         crosses = (before <= 0) & (after > 0)

@@ -193,7 +193,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
         parameter="belt_speed",
     )
     u = shooting.pack((x, v), period, speed)
-    point = jnp.append(u.at[shooting.place].set(speed), u[shooting.place])
+    point = jnp.append(u.at[shooting.z_index].set(speed), u[shooting.z_index])
     sound, exists = jnp.all(jnp.isfinite(point)), exists | thin
     damped, none = alone.damping_ratio > 0, damping_outweighs(chain)
     failed = SearchResult.where(sound, SearchResult.no_cycle, SearchResult.no_touch)
@@ -259,7 +259,7 @@ class FoldSearch(NamedTuple):
 
 def unknowns(shooting: Shooting, point: Float[Array, " m_plus_1"]) -> tuple[Array, Array]:
     """(u, v_d) from a point of the search, which is u with v_d in place of z_j = asinh s."""
-    return point[:-1].at[shooting.place].set(point[-1]), point[shooting.place]
+    return point[:-1].at[shooting.z_index].set(point[-1]), point[shooting.z_index]
 
 
 # The runs from the cut that should meet, in periods, and the states at their ends.
@@ -359,7 +359,7 @@ def _entry(shooting: Shooting, now: FoldSearch, tight: Array, start: FoldGuess) 
     def either(pair: tuple[float, float]) -> Array:
         return jnp.where(tight, pair[1], pair[0])
 
-    index = shooting.place
+    index = shooting.z_index
     q, z = now.point[:-1], now.point[-1]
     r, jacobian = value_and_jacobian(shooting, now.point)
     norm = jnp.max(jnp.abs(r))
@@ -570,7 +570,7 @@ def _belt_speed(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearc
         "`find_fold(chain).belt_speed`."
     )
     q = attach_derivative(held_residual, search_end.point[:-1], (held, z), once=once)
-    return if_found(search_end.converged, q[held.place] + _gained(chain, mass, start))
+    return if_found(search_end.converged, q[held.z_index] + _gained(chain, mass, start))
 
 
 def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
@@ -620,7 +620,7 @@ def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> 
     """The fold with the derivatives of its cycle."""
     held = _held(chain, start)
     # (left, right) null vectors of dR/du at the fold.
-    slope = search_end.jacobian[:, :-1].at[:, held.place].set(search_end.jacobian[:, -1])
+    slope = search_end.jacobian[:, :-1].at[:, held.z_index].set(search_end.jacobian[:, -1])
     left, _, right = jnp.linalg.svd(
         jnp.where(search_end.converged, slope, jnp.eye(slope.shape[0]))
     )
@@ -631,7 +631,7 @@ def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> 
         belt_speed=if_found(search_end.converged, both[-1] + _gained(chain, mass, start)),
         period=period,
         state=state,
-        scaled_peak_velocity=jnp.sinh(both[held.place]),
+        scaled_peak_velocity=jnp.sinh(both[held.z_index]),
         residual=search_end.residual,
         result=start.result,
         width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]

@@ -466,7 +466,7 @@ def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
     """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
     m = shooting.size
     weights = np.full(m + 1, len(shooting.solved) ** -0.5)
-    weights[shooting.place] = 1.0
+    weights[shooting.z_index] = 1.0
     if shooting.forcing_periods is None:
         weights[m - 1] = 1.0
     weights[m] = 1.0 / (abs(p) or 1.0)
@@ -772,7 +772,7 @@ def continue_cycle(
     if isinstance(direction, str):
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
-        heading[shooting.place] = 1.0 if direction == "stick" else -1.0
+        heading[shooting.z_index] = 1.0 if direction == "stick" else -1.0
     options = {
         "step": step,
         "min_step": min_step,
@@ -920,7 +920,7 @@ def _follow(
             kind, subgroups = point.kind, ()
             if kind.startswith(_BREAKING):
                 kind, subgroups = _BREAKING, symmetries_of(e, shooting, motions)
-                if any(other.kind == kind and _same_place(other, point) for other in special):
+                if any(other.kind == kind and _same_point(other, point) for other in special):
                     continue  # it was seen in other disturbances, too
             special.append(CyclePoint(kind, point.p, *orbit, *how, subgroups))
     # The last point may be its own mirror image, or no cycle.
@@ -944,7 +944,7 @@ def _follow(
     )
 
 
-def _same_place(one: CyclePoint, other: SpecialPoint) -> bool:
+def _same_point(one: CyclePoint, other: SpecialPoint) -> bool:
     apart = abs(one.parameter - other.p)
     return apart <= max(one.error, other.error, 1e-8 * abs(other.p)) and (
         abs(one.raw.index - other.index) <= 1
@@ -952,7 +952,7 @@ def _same_place(one: CyclePoint, other: SpecialPoint) -> bool:
 
 
 def _scaled_peak_velocity(shooting: Shooting, u: np.ndarray) -> np.ndarray:
-    s = np.sinh(u[:, shooting.place])
+    s = np.sinh(u[:, shooting.z_index])
     field = shooting.field
     switches = field.switching(0.0, jnp.zeros(shooting.n)) is not None
     return s if switches else np.full_like(s, np.nan)

@@ -243,8 +243,8 @@ def find_limit_cycles(
     check_flag("progress", progress)
     wanted = "a sequence of `LimitCycle`s"
     check_kind("known", known, Iterable, wanted, "() if none is known.")
-    for place, cycle in enumerate(known := list(known)):
-        check_kind(f"known[{place}]", cycle, LimitCycle, "a `LimitCycle`")
+    for i, cycle in enumerate(known := list(known)):
+        check_kind(f"known[{i}]", cycle, LimitCycle, "a `LimitCycle`")
     if isinstance(guesses, int) and not isinstance(guesses, bool):
         ring = as_chain(
             model, remedy="give `guesses` = (states, periods) for other models.", name="model"

@@ -670,7 +670,7 @@ def continue_to_belt_speed(
 ) -> tuple[Guess | None, str]:
     """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, by continuation.
 
-    It runs on the host.  Returns ((state, period) or None, the place where the branch turns or
+    It runs on the host.  Returns ((state, period) or None, the point where the branch turns or
     ends if it does not reach that speed).
     """
     chain: Any = shooting.field

@@ -145,9 +145,9 @@ class Phases(eqx.Module):
         mode = list(modes[k - 1])
         mode[mass] = after[mass]
         modes[k], (events[k - 1], events[k]) = tuple(mode), (events[k], events[k - 1])
-        place = {k: (k - 1) % count, (k - 1) % count: k}
-        special = self.special and (place.get(self.special[0], self.special[0]), *self.special[1:])
-        onsets = tuple((place.get(at, at), *rest) for at, *rest in self.onsets)
+        moved = {k: (k - 1) % count, (k - 1) % count: k}
+        special = self.special and (moved.get(self.special[0], self.special[0]), *self.special[1:])
+        onsets = tuple((moved.get(at, at), *rest) for at, *rest in self.onsets)
         changed = {"events": tuple(events), "modes": tuple(modes), "special": special}
         return replace(self, onsets=onsets, **changed)
 
@@ -159,7 +159,7 @@ class Phases(eqx.Module):
         """(`residual`, (margins, error))."""
         field, state, period = self.unpack(u, *parameter)
         durations, d = u[-len(self.events) :], self.m * self.n
-        place, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
+        index, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
         modes = jnp.asarray(self.modes)
         scale = 1.0 + jnp.abs(field.belt_speed)
         begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
@@ -175,7 +175,7 @@ class Phases(eqx.Module):
 
             def contact(z: Array) -> tuple[Array, Array]:
                 t, y = parts(z)
-                return y[place] - field.belt_speed, free_force(field, t, y)
+                return y[index] - field.belt_speed, free_force(field, t, y)
 
             def near(z: Array) -> Array:
                 """How far each mass is from an event, in shares; the event is at 0."""
@@ -219,7 +219,7 @@ class Phases(eqx.Module):
 
         gap = z[1:] - u[:d]
         if self.slips:  # or steady sliding would be a solution
-            gap = gap / state[place][self.mass]
+            gap = gap / state[index][self.mass]
         gaps = [gap, *(value(k, e, sign)[None] for k, (e, _, sign) in enumerate(self.events))]
         if self.forcing_periods is not None:
             gaps.append((period - self.forcing_periods * to_float(field.forcing_period()))[None])

@@ -98,7 +98,7 @@ class Shooting(eqx.Module):
         return [n for n in self.solved if n != self.mass or not self.balanced]
 
     @property
-    def place(self) -> int:
+    def z_index(self) -> int:
         """The index of z_j in u."""
         return self._starts[min(self.field.contact, self.m - 1)] + self.solved.index(self.mass)
 

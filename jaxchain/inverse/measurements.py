@@ -553,10 +553,10 @@ class Waveform(eqx.Module):
         within = jnp.mod(shares, 1.0)
         if self.chain.dry:
             slides = within < self.slip
-            places = within / self.slip, (within - self.slip) / (1.0 - self.slip)
+            positions = within / self.slip, (within - self.slip) / (1.0 - self.slip)
             parts = (
-                _cubic(jnp.clip(place, 0.0, 1.0), value, rate, length)
-                for place, ((value, rate), length) in zip(places, self.parts, strict=True)
+                _cubic(jnp.clip(position, 0.0, 1.0), value, rate, length)
+                for position, ((value, rate), length) in zip(positions, self.parts, strict=True)
             )
             found = jnp.where(slides, *parts)
         else:
@@ -603,15 +603,15 @@ class Waveform(eqx.Module):
 
 
 def _cubic(
-    place: Float[Array, " m"],
+    position: Float[Array, " m"],
     values: Float[Array, " k"],
     slopes: Float[Array, " k"],
     length: Array,
 ) -> Float[Array, " m"]:
-    """Hermite's interpolation between k equal steps over a length, at places from 0 to 1."""
+    """Hermite's interpolation between k equal steps over a length, at positions from 0 to 1."""
     cells = values.size - 1
-    i = jnp.clip(jnp.floor(place * cells), 0, cells - 1).astype(int)
-    u, h = place * cells - i, length / cells
+    i = jnp.clip(jnp.floor(position * cells), 0, cells - 1).astype(int)
+    u, h = position * cells - i, length / cells
     rise = values[i + 1] - values[i]
     a, b = h * slopes[i] - rise, rise - h * slopes[i + 1]
     return values[i] + u * rise + u * (1 - u) * ((1 - u) * a + u * b)

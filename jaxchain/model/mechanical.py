@@ -370,9 +370,9 @@ class MechanicalCells(AbstractCells):
                 total = _plus_scaled(total, added.factor, _of_size(added.matrices[name], self.d))
         return total
 
-    def _place(self, name: str) -> Callable[[Any], Any]:
+    def _selector(self, name: str) -> Callable[[Any], Any]:
         if self.plus is None or name not in self.plus:
-            return super()._place(name)
+            return super()._selector(name)
         return lambda cells: cells.plus[name].factor
 
     def description(self, n: int) -> dict[str, Any]:

@@ -265,17 +265,17 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         for name, value in changes.items():
             number = to_float(converters.get(name, to_float)(value))
             self._check_change(name, number)
-            field = eqx.tree_at(self._place(name), field, number)
+            field = eqx.tree_at(self._selector(name), field, number)
         for kind in type(field).__mro__:
             if check := vars(kind).get("__check_init__"):
                 check(field)
         return field
 
     def _check_change(self, name: str, number: Array) -> None:
-        """Raises `ValueError` if this number cannot take the place of the present one."""
+        """Raises `ValueError` if this number cannot replace the present one."""
         del name, number
 
-    def _place(self, name: str) -> Callable[[Any], Any]:
+    def _selector(self, name: str) -> Callable[[Any], Any]:
         """From a model to the array that holds this number."""
         return operator.attrgetter(name)
 

@@ -119,16 +119,16 @@ class AbstractOscillators(AbstractModel):
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], LocalSlopes]:
         """(h, its derivatives).  h acts mass by mass: a tangent of ones carries the diagonal."""
-        timed, placed = self.uses(x.shape[0])
+        timed, displaced = self.uses(x.shape[0])
         one, ones = jnp.ones(()), jnp.ones_like(v)
         force, by_velocity = jax.jvp(lambda v: self.local_force(t, x, v), (v,), (ones,))
-        by_time = by_place = None
+        by_time = by_displacement = None
         if timed:
             now = jnp.asarray(t, float)
             by_time = jax.jvp(lambda t: self.local_force(t, x, v), (now,), (one,))[1]
-        if placed:
-            by_place = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
-        return force, LocalSlopes(by_time, by_place, by_velocity)
+        if displaced:
+            by_displacement = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
+        return force, LocalSlopes(by_time, by_displacement, by_velocity)
 
     @property
     def ends(self) -> Ends:
@@ -184,7 +184,7 @@ class AbstractOscillators(AbstractModel):
         """tr J = sum of dh_n/dv_n."""
         return jnp.sum(self.local_force_and_slopes(t, *y)[1].velocity)
 
-    def _place(self, name: str) -> Callable[[Any], Any]:
+    def _selector(self, name: str) -> Callable[[Any], Any]:
         return operator.attrgetter("springs.constant" if name == "coupling" else name)
 
     def parameters(self) -> dict[str, Array]:

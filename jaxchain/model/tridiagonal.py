@@ -80,10 +80,10 @@ class BlockTridiagonal(eqx.Module):
         corner = self.ends == "cyclic"
         # Products with constants compile at once; the convolutions of `@` take seconds.
         before = np.eye(n, k=-1) + corner * np.eye(n, k=n - 1)
-        places = np.eye(n), before, before.T
+        shifts = np.eye(n), before, before.T
 
         def block(parts: tuple[Any, ...]) -> Array:
-            pairs = zip(parts, places, strict=True)
+            pairs = zip(parts, shifts, strict=True)
             return sum((p[:, None] * at for p, at in pairs if p is not None), jnp.zeros((n, n)))
 
         rows = zip(self.own, self.left, self.right, strict=True)

@@ -262,10 +262,10 @@ def _draw_curves(
     shades, shade = looks(np.array(picked) + 1)
     several = len(picked) > 1 and color is None
     with on_axes(ax) as axes:
-        for place, (mass, (shaded, _)) in enumerate(zip(picked, shades, strict=True)):
+        for i, (mass, (shaded, _)) in enumerate(zip(picked, shades, strict=True)):
             name = f"oscillator {mass + 1}" if several and shade is None else None
             # Lines of one colour are one entry of the legend.
-            words = [label if several or place == 0 else None, name]
+            words = [label if several or i == 0 else None, name]
             colour = shaded if color is None else color
             across, up = (part[:, mass] for part in lines)
             entry = ", ".join(filter(None, words)) or None
@@ -710,11 +710,11 @@ class _Film:
             r"$\tilde v_d$", (1.0, speed), xycoords=plane.get_yaxis_transform(), xytext=(3, 0),
             textcoords="offset points", va="center", annotation_clip=False,
         )  # fmt: skip
-        (_, time), (_, place), (_, rate) = (
+        (_, time), (_, displacement), (_, rate) = (
             axis(name, {"units": unit}, None) for name, unit in (("time", "1"), *_UNITS.items())
         )
-        strip.set(xlabel=time, ylabel=place)
-        plane.set(xlabel=place, ylabel=rate)
+        strip.set(xlabel=time, ylabel=displacement)
+        plane.set(xlabel=displacement, ylabel=rate)
 
     def _closed(self) -> list[np.ndarray]:
         """Times, x, v and sticking; for a closed film with the first frame appended."""
@@ -727,7 +727,7 @@ class _Film:
         return [np.append(self.times, after), *(np.vstack([p, p[:1]]) for p in parts[1:])]
 
     def show(self, frame: int) -> list[Any]:
-        """Moves everything to its place in a frame; returns what has changed."""
+        """Moves everything to its position in a frame; returns what has changed."""
         time, x, v, stuck = (part[frame] for part in (self.times, self.x, self.v, self.sticks))
         middles, half = self.home + x, 0.5 * self.wide
         for block, number, middle, held in zip(

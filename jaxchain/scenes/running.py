@@ -287,7 +287,7 @@ def _write_page(results: Results, loaded: LoadedScene) -> None:
 
 
 @contextlib.contextmanager
-def _located(scene: str, place: str) -> Iterator[None]:
+def _located(scene: str, where: str) -> Iterator[None]:
     """Adds the experiment to an error that appears only in a run, such as a width too small.
 
     **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy if memory is short.
@@ -295,13 +295,13 @@ def _located(scene: str, place: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise SceneError(scene, [f"{place}{error}"]) from error
+        raise SceneError(scene, [f"{where}{error}"]) from error
     except (MemoryError, RuntimeError) as error:
         # The compiler reports it as RESOURCE_EXHAUSTED.
         if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
             raise
         more = "" if "fewer" in str(error) else ": take fewer values, masses or chains at once"
-        raise MemoryError(f"{place}out of memory ({str(error)[:1000]}){more}") from error
+        raise MemoryError(f"{where}out of memory ({str(error)[:1000]}){more}") from error
 
 
 def run_experiment(

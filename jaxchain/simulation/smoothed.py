@@ -370,13 +370,13 @@ class SmoothedPlan(AbstractPlan):
                 rejected=now.rejected + 1,
             )
             new = where(kept, taken, refused)
-            place = now.steps - progress.steps
+            index = now.steps - progress.steps
             new_run = _Run(
                 now=new,
                 ahead=end_of_step(new.t, ahead),
                 outcome=outcome,
                 records=[_record(r, kept, t1, inside, adjoint) for r in run.records],
-                ends=[buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],
+                ends=[buffer_at_set(ends, index, end, pred=kept) for ends in run.ends],
             )
             same = dataclasses.replace(now, accumulators=accumulators)
             return where(counts, new_run, dataclasses.replace(run, now=same))

@@ -524,8 +524,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
             return solver.solve(right)
 
         stages = _stages(tab, stage, list(y0), rolled)
-        place = moved(tab._row(len(tab.c) - 1), stages[:-1])
-        y1 = tuple(place[k] + stages[-1][k] for k in range(m))
+        last = moved(tab._row(len(tab.c) - 1), stages[:-1])
+        y1 = tuple(last[k] + stages[-1][k] for k in range(m))
         # A pivot of another sign than h: something grows by more than e^(1/gamma) in the step.
         checks = [jnp.all(jnp.stack([pivot * h for pivot in solver.pivots]) > 0)]
         error, result = self._judged(

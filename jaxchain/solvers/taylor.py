@@ -169,7 +169,7 @@ class _Expansion:
         name, series, here = step.primitive.name, *map(list, zip(*operands, strict=True))
         if name == "abs" and self.alone and series[0] is self.arguments[0]:  # of a speed
             return [operands[0]]
-        # What gives no real numbers finds a case or a place: comparisons, or a search in a table.
+        # What gives no real numbers finds a case or an index: comparisons, or a search in a table.
         decides = name in _STEPS or not any(
             jnp.issubdtype(out.aval.dtype, jnp.floating) for out in step.outvars
         )

@@ -77,22 +77,22 @@ class Varied(NamedTuple):
     """The result of `vary` without its arrays, which is known when a sweep is compiled."""
 
     structure: Any
-    # For each leaf: its place among those of the chain given, None for a new array, or the leaf.
+    # For each leaf: its index in the leaves of the chain given, None for a new array, or the leaf.
     sources: tuple[int | Constant | None, ...]
 
     @staticmethod
     def compare(given: AbstractModel, made: AbstractModel) -> tuple[Varied, list[Array]]:
         """The unchanged leaves, and the new arrays."""
-        places = {id(leaf): place for place, leaf in enumerate(jtu.tree_leaves(given))}
+        indices = {id(leaf): index for index, leaf in enumerate(jtu.tree_leaves(given))}
         leaves, structure = jtu.tree_flatten(made)
         sources, new = [], []
         for leaf in leaves:
-            place = places.get(id(leaf))
-            if place is None and eqx.is_array(leaf):
+            index = indices.get(id(leaf))
+            if index is None and eqx.is_array(leaf):
                 new.append(jnp.asarray(leaf))
-            elif place is None:
-                place = Constant(leaf)
-            sources.append(place)
+            elif index is None:
+                index = Constant(leaf)
+            sources.append(index)
         return Varied(structure, tuple(sources)), new
 
     def make(self, given: AbstractModel, new: Sequence[Array]) -> Any:
@@ -371,13 +371,13 @@ def _next_runs(
         return _where(here, one[None], all)
 
     record = jax.vmap(functools.partial(read_lane, task))(pool.lane)
-    place = pool.taken + jnp.cumsum(over) - 1
-    begins = over & (place < waiting)
-    start = jtu.tree_map(lambda a: a[place], starts)
+    index = pool.taken + jnp.cumsum(over) - 1
+    begins = over & (index < waiting)
+    start = jtu.tree_map(lambda a: a[index], starts)
     fresh = jax.vmap(functools.partial(start_lane, task))(start)
     return PoolState(
         jtu.tree_map(lambda a, b: _where(begins, a, b), fresh, pool.lane),
-        jnp.where(begins, queue[place], jnp.where(over, NO_JOB, pool.job)),
+        jnp.where(begins, queue[index], jnp.where(over, NO_JOB, pool.job)),
         pool.taken + jnp.sum(begins),
         jtu.tree_map(keep, pool.record, record),
         keep(pool.recorded, pool.job),

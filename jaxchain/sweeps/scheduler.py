@@ -26,7 +26,7 @@ from .._progress import progress_bar
 from .axes import Block
 from .ensemble import Ensemble
 from .lanes import NO_JOB, RunStart, RunStarts, Shapes, SweepTask, advance_pool, initial_names
-from .programs import place, ready, starter
+from .programs import put_on_device, ready, starter
 
 # Numbers per array of a device's lanes, so that the arrays of a step fit the cache of a core, or
 # many of them that of a GPU: with 2^20 numbers a sweep on an H200 took a fifth longer.
@@ -50,7 +50,7 @@ class Pool:
         self, device: Any, task: SweepTask, starts: RunStarts, width: int, shapes: Shapes
     ):
         self.device, self.width, self.queue = device, width, _queue(width)
-        self.task, self.starts = place((task, starts), device)
+        self.task, self.starts = put_on_device((task, starts), device)
         lanes = _blank(shapes.lane, width)
         self._lanes, self._structure = jtu.tree_flatten(lanes)
         self._begins: Any = _blank(shapes.start, self.queue)  # the starts of the jobs offered

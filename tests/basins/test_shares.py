@@ -86,8 +86,8 @@ def test_bars_of_sequences_hold_the_share_as_often_as_they_say():
     # In each replicate a grid, shifted by chance: an error far below that of random points.
     rng, held, lengths, share = np.random.default_rng(0), 0, [], 0.3
     for _ in range(400):
-        places = (np.arange(32) + rng.random((16, 1))) / 32 + rng.normal(0, 0.02, (16, 1))
-        found = tally(batch(((places % 1.0) < share).astype(int)))
+        phases = (np.arange(32) + rng.random((16, 1))) / 32 + rng.normal(0, 0.02, (16, 1))
+        found = tally(batch(((phases % 1.0) < share).astype(int)))
         bars = found.bars(even=True)
         k = [code.tolist() for code in found.codes].index([1])
         held += bars.low[0, k] <= share <= bars.high[0, k]
