@@ -24,7 +24,7 @@ from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_model, as_parameter
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..result import Outcome, SearchResult
 from .equilibria import Rates, equilibria_over, labels_of, near_equilibrium
 
@@ -135,7 +135,7 @@ class ComplexModes(Outcome):
                 "parameters": parameters_of(
                     self.chain, self.state[0].shape[-1], [name] if self.parameter else []
                 ),
-                **circumstances(),
+                **environment(),
             },
         )
 

@@ -70,7 +70,7 @@ from ..model.arguments import as_mass, as_model, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..observers.amplitude import Amplitude
 from ..result import Outcome, Printed, SearchResult
 from ..simulation.event_driven import EventDriven
@@ -835,7 +835,7 @@ class SpecialCurve(Printed):
                 "ended_first": self.ended[0],
                 "ended_last": self.ended[1],
                 "parameters": parameters_of(self.chain, n, list(self.names)),
-                **circumstances(),
+                **environment(),
             },
         )
 

@@ -41,7 +41,7 @@ from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..observers.amplitude import amplitude_variables
 from ..observers.base import renamed
 from ..result import Printed
@@ -684,7 +684,7 @@ class CycleBranch(Printed):
                 "images": json.dumps(shooting.images),
                 "shift": json.dumps(shooting.shift),
                 "symmetry": self.symmetry,
-                **circumstances(),
+                **environment(),
             },
         )
 

@@ -73,7 +73,7 @@ def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     return Chain(given["n"], law, ends=given["ends"], **{name: given[name] for name in CHAIN})
 
 
-def circumstances() -> dict[str, Any]:
+def environment() -> dict[str, Any]:
     """The versions, the kind of device, and the time."""
     return {
         "versions": json.dumps(versions()),

@@ -107,7 +107,7 @@ def run_scene(
     if saved(folder / f"{loaded.name}.zarr"):
         remedy = "`resume_scene` continues it, `claimed` finds another folder"
         raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
-    results, about = Results(folder, loaded.name), circumstances(command)
+    results, about = Results(folder, loaded.name), origin_attributes(command)
     chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
     how = {"custom_law": custom_law, "custom_observers": custom_observers}
     how |= {"custom_models": custom_models, "progress": progress}
@@ -164,7 +164,7 @@ def resume_scene(
     how |= {"custom_models": custom_models, "progress": progress}
     cut_off = was_cut_off(folder)
     with unfinished(folder, loaded.name):
-        results, about = Results.reopen(folder, loaded.name), circumstances(command)
+        results, about = Results.reopen(folder, loaded.name), origin_attributes(command)
         toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
         first = re.findall(r'^# (command|started) = (".*")$', toml, re.MULTILINE)
         about |= {"resumed": about["started"], "resumed_by": about["command"]}
@@ -428,8 +428,8 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
     return xr.Dataset(variables, attrs={"cut_off": branch.cut_off} if branch.cut_off else {})
 
 
-def circumstances(command: str = "") -> dict[str, str]:
-    """The circumstances of results besides the scene; `command` is the command line."""
+def origin_attributes(command: str = "") -> dict[str, str]:
+    """The origin of results besides the scene, as attributes; `command` is the command line."""
     devices = jax.devices()
     return {
         # An argument may be bytes that are not text.

@@ -441,11 +441,11 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
         "lanes": lanes,
         "dimensions": list(axes),
         "over": {dim: sorted(columns) for dim, columns in axes.items()},
-        **circumstances_of_numbers(),
+        **environment_of_numbers(),
     }
 
 
-def circumstances_of_numbers() -> dict[str, Any]:
+def environment_of_numbers() -> dict[str, Any]:
     """Properties of this process that affect numbers: versions, our code, options of XLA."""
     return {
         "versions": {k: v for k, v in versions().items() if k != "python"},
