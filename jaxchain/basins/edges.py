@@ -226,8 +226,8 @@ def _settle(chain: Chain, now: EdgeSearch, amplitude: Array, how: Tracking) -> E
     change = jnp.maximum(jnp.abs(low - now.last_low), jnp.abs(high - now.last_high))
     little = change <= _SAME * jnp.where(differs, way, speed)[None]  # false for NaN
     little &= (change <= _OF_ITSELF * high) | (high <= _RESTS * speed)
-    asked = differs | ~jnp.any(differs)
-    same = jnp.all(~asked[None] | little)
+    compared = differs | ~jnp.any(differs)
+    same = jnp.all(~compared[None] | little)
     settled = ends & same & jnp.all(vibrates == before)
     new = replace(
         now,

@@ -86,7 +86,7 @@ _KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
 _SMALL = 1e-3
 # A margin of rounding.
 _MET = 1e-9
-# What else may happen on a cycle with dry friction, in the order of `Seen.margins`.
+# What else may happen on a cycle with dry friction, in the order of `CycleProperties.margins`.
 _OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
 # Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
 _CUSP = 1e-4

@@ -659,11 +659,15 @@ def measure_exponents(
 # An exponent within this number of its errors counts as zero.
 _NEUTRAL = 10.0
 # Closed orbits found from one state: the reference mass, a point of the section, the orbit.
-Known = list[tuple[int, np.ndarray, RefinedOrbit]]
+KnownOrbits = list[tuple[int, np.ndarray, RefinedOrbit]]
 
 
 def judge_orbit(
-    task: _VerdictTask, criteria: Criteria, trial: VerdictRun, record: RunRecord, orbits: Known
+    task: _VerdictTask,
+    criteria: Criteria,
+    trial: VerdictRun,
+    record: RunRecord,
+    orbits: KnownOrbits,
 ) -> Evidence:
     """The evidence of a run with its record, and whether it is decided.
 
@@ -905,7 +909,7 @@ def verdicts(
         count=min(int(count), sum(part.size for part in first_state)),
     )
     lanes = min(lanes, len(trials))
-    orbits: list[Known] = [[] for _ in states[0]]
+    orbits: list[KnownOrbits] = [[] for _ in states[0]]
 
     def advance_and_judge(going: list[VerdictRun], stage: float, *, again: bool = False) -> None:
         for trial, record in advance(task, lanes, going, stage):

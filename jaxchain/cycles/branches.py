@@ -67,7 +67,7 @@ from .symmetry import (
     label_of,
     ring_motions,
 )
-from .variational import Along, flow
+from .variational import ExtremesAndTrace, flow
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -333,7 +333,12 @@ def _cycles_at(u: Any, parameters: Any, shooting: Shooting) -> tuple[Any, Array,
     def one(u: Array, parameters: Array) -> tuple[State, Array, Array]:
         field, state, period = shooting.unpack(u, *parameters)
         _, _, ((low, high, _, _),) = flow(
-            field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
+            field,
+            state,
+            period,
+            rtol=shooting.rtol,
+            solver=shooting.solver,
+            observers=[ExtremesAndTrace()],
         )
         return state, period, (high - low) / 2
 

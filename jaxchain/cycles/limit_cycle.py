@@ -81,7 +81,7 @@ from .floquet import (
 )
 from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .symmetry import CycleSymmetry, as_symmetry
-from .variational import Along, Period, Returned, Returns
+from .variational import ExtremesAndTrace, Period, Returned, Returns
 
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
@@ -480,7 +480,7 @@ class _States(eqx.Module):
         return jnp.concatenate([*gaps, last[None]]), run.observed
 
 
-class _Seen(NamedTuple):
+class _RunResults(NamedTuple):
     """Further results of a run."""
 
     slopes: Float[Array, "two_n m"]  # of the state at the end, in the state and T
@@ -505,7 +505,7 @@ def _close(
 
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
-    def linearise(u: Array) -> tuple[Array, Factors, _Seen]:
+    def linearise(u: Array) -> tuple[Array, Factors, _RunResults]:
         slopes, (end, seen) = jax.jacfwd(end_of, has_aux=True)(u)
         f, corner = slopes[:, -1], jnp.zeros((1, 1))
         return_map = slopes[:, :-1] - jnp.eye(d)
@@ -514,7 +514,11 @@ def _close(
         else:
             return_map = return_map + _free_phases(chain, state, slopes[:, :-1], f)
         matrix = jnp.block([[return_map, f[:, None]], [f[None], corner]])
-        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), _Seen(slopes, *seen)
+        return (
+            jnp.append(end - u[:-1], 0.0),
+            factorise(matrix, weights),
+            _RunResults(slopes, *seen),
+        )
 
     def closed(now: Iterate) -> Array:
         # A share of the size of the orbit.
@@ -576,7 +580,9 @@ def dry_cycle(
 
     def once_round(state: State, periods: Array) -> tuple[State, tuple[State, State, Any]]:
         cuts = [] if forced else [_Cuts(mass, 1, of="velocity")]
-        run = equations.run(equations.pack(state, orbit.period), [*cuts, Along()], periods)
+        run = equations.run(
+            equations.pack(state, orbit.period), [*cuts, ExtremesAndTrace()], periods
+        )
         *cut, along = run.observed
         for _, *parts in cut:
             state_there = on_the_belt(chain, 0.0, tuple(part[0] for part in parts))[0]

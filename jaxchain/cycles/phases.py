@@ -59,7 +59,7 @@ _ACCURATE = 1e-8
 _VALUES = ("landing", "peak", "release", "turn")
 
 
-class Seen(NamedTuple):
+class CycleProperties(NamedTuple):
     """Further results of a cycle.
 
     - `state` at the start, `period`; `speed`: |v| there of the mass that is cut, of a slip cycle,
@@ -230,7 +230,7 @@ class Phases(eqx.Module):
         return jnp.concatenate(gaps), (margins, jnp.sum(errors))
 
     def _margins(self, values: Array, highest: Array, durations: Array, limit: Array) -> Array:
-        """See `Seen`."""
+        """See `CycleProperties`."""
         stick, none = jnp.asarray(self.modes) == STICK, jnp.asarray([-1.0])
         onset = [s * (1.0 - jnp.abs(values[k, 2, i]) / limit[i]) for k, i, s in self.onsets]
         apart = [-durations[k] / jnp.sum(durations) for k, far in enumerate(self.apart) if far]
@@ -243,8 +243,8 @@ class Phases(eqx.Module):
 
     def linearise(
         self, u: Float[Array, " m"], *parameter: Any
-    ) -> tuple[Float[Array, " equations"], Float[Array, "equations more"], Seen]:
-        """(`residual`, its slopes in u and the parameters, `Seen`)."""
+    ) -> tuple[Float[Array, " equations"], Float[Array, "equations more"], CycleProperties]:
+        """(`residual`, its slopes in u and the parameters, `CycleProperties`)."""
         z = jnp.append(u, jnp.stack(parameter)) if parameter else u
 
         def both(z: Array) -> tuple[Array, Any]:
@@ -265,7 +265,7 @@ class Phases(eqx.Module):
         speed = jnp.abs(u[j]) if self.slips else jnp.inf * period
         below = jnp.sign(field.belt_speed) * (field.belt_speed - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
-        return gaps, slopes, Seen(state, period, speed, below, sound, margins, rho)
+        return gaps, slopes, CycleProperties(state, period, speed, below, sound, margins, rho)
 
 
 def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:

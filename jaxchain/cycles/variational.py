@@ -231,7 +231,7 @@ class Period(NamedTuple):
         return self.slopes[:, : self.slopes.shape[0]]
 
 
-class Along(AbstractObserver):
+class ExtremesAndTrace(AbstractObserver):
     """The observed numbers of `Period`; value (least x, greatest x, fastest, trace).
 
     Turning points are located between steps, and the trace is integrated by Gauss's rule of five
@@ -310,7 +310,7 @@ def linearised_period(
     Of orbits with a `shift` the time of `make` is T / k.
     """
     end, slopes, seen, good = forward_sensitivity(
-        make, point, rtol=rtol, solver=solver, observers=[Along(), Returns(shift)]
+        make, point, rtol=rtol, solver=solver, observers=[ExtremesAndTrace(), Returns(shift)]
     )
     along, returned = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), seen)
     low, high, fastest, trace = along

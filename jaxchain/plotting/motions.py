@@ -198,8 +198,8 @@ def plot_space_time(
     return axes
 
 
-def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **asked: Any) -> list[Any]:
-    """(values, factor, label) of each component asked for, and (factor, label) of time."""
+def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **requested: Any) -> list[Any]:
+    """(values, factor, label) of each requested component, and (factor, label) of time."""
     check_scales(scales)
     if model is not None:
         model = as_model(model)
@@ -217,7 +217,7 @@ def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **asked: Any
         known = [StateVariable(str(k), "1", f"component {k}") for k in range(len(states))]
     names = [part.name for part in known]
     drawn: list[Any] = []
-    for key, given in asked.items():
+    for key, given in requested.items():
         if given not in names and given not in range(len(names)):
             raise ValueError(
                 f"Argument `{key}` must be one of {', '.join(names)}, or its number from 0, but "

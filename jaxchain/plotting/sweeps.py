@@ -429,10 +429,10 @@ def plot_sweep(
         grid = given or _new_panels([len(part) for part in at], roles["col"] is None)
         for axes, panel in zip(grid, panels, strict=True):
             part = data.isel(panel)
-            mine = shades and shades._replace(
+            panel_shades = shades and shades._replace(
                 of_runs=shades.of_runs.isel(panel, missing_dims="ignore")
             )
-            _draw(axes, part, values.isel(panel), roles["x"], mine, scales)
+            _draw(axes, part, values.isel(panel), roles["x"], panel_shades, scales)
             axes.set_title("\n".join(value_of(part[name], scales) for name in faceted))
             if given is None:
                 _label_outer(axes)
@@ -482,12 +482,12 @@ def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
 
 
 def _roles(
-    data: xr.Dataset, values: xr.DataArray, asked: dict[str, Any], hue: _Hue | None, ax: Any
+    data: xr.Dataset, values: xr.DataArray, requested: dict[str, Any], hue: _Hue | None, ax: Any
 ) -> dict[str, str | None]:
     """The dimension of each role; every dimension of more than one value needs a role."""
     free = [str(dim) for dim in values.dims if values.sizes[dim] > 1]
-    roles = dict(asked)
-    for role, name in asked.items():
+    roles = dict(requested)
+    for role, name in requested.items():
         if name is not None and not (role == "hue" and hue is not None and hue.is_variable):
             _take(data, values, role, name, free)
     if roles["x"] is None:

@@ -127,8 +127,8 @@ class AbstractExperiment(Table):
 
     def stored(self) -> bool:
         """Whether its runs use a store."""
-        asked = self.numerics.store
-        return self.lanes() > MOST_UNSTORED if asked is None else asked
+        requested = self.numerics.store
+        return self.lanes() > MOST_UNSTORED if requested is None else requested
 
     def fits_memory(self) -> bool:
         """Whether its results fit into memory."""

@@ -54,7 +54,7 @@ def _call(function: Callable, model: Any, values: Mapping[str, Any]) -> Any:
     return function(model, **{k: v for k, v in values.items() if k in names})
 
 
-def known_again(function: Any) -> Any:
+def hashable_partial(function: Any) -> Any:
     """The function; a `functools.partial` of numbers and words becomes comparable by value.
 
     Python compares them by identity, so one made for each sweep would be compiled each time.
@@ -73,7 +73,7 @@ class Constant(NamedTuple):
     value: Any
 
 
-class Varied(NamedTuple):
+class VariedStructure(NamedTuple):
     """The result of `vary` without its arrays, which is known when a sweep is compiled."""
 
     structure: Any
@@ -81,7 +81,7 @@ class Varied(NamedTuple):
     sources: tuple[int | Constant | None, ...]
 
     @staticmethod
-    def compare(given: AbstractModel, made: AbstractModel) -> tuple[Varied, list[Array]]:
+    def compare(given: AbstractModel, made: AbstractModel) -> tuple[VariedStructure, list[Array]]:
         """The unchanged leaves, and the new arrays."""
         indices = {id(leaf): index for index, leaf in enumerate(jtu.tree_leaves(given))}
         leaves, structure = jtu.tree_flatten(made)
@@ -93,7 +93,7 @@ class Varied(NamedTuple):
             elif index is None:
                 index = Constant(leaf)
             sources.append(index)
-        return Varied(structure, tuple(sources)), new
+        return VariedStructure(structure, tuple(sources)), new
 
     def make(self, given: AbstractModel, new: Sequence[Array]) -> Any:
         """The chain of a lane: the given one with the arrays from `vary`."""
@@ -136,12 +136,12 @@ class RunStarts(eqx.Module):
         new = []
         if self.vary is not None:
             chain = _call(self.vary, given, values)
-            _, new = Varied.compare(given, chain)
+            _, new = VariedStructure.compare(given, chain)
         state = _call(self.initial, chain, values) if callable(self.initial) else self.initial
         parts = (jnp.broadcast_to(jnp.asarray(part, float), (self.n,)) for part in state)
         return RunStart(RunNumbers(numbers, new), tuple(parts))
 
-    def varied(self, values: Mapping[str, Array]) -> Varied | None:
+    def varied(self, values: Mapping[str, Array]) -> VariedStructure | None:
         """The leaves that `vary` does not change, found by tracing a job with these values."""
         if self.vary is None:
             return None
@@ -149,7 +149,7 @@ class RunStarts(eqx.Module):
 
         def traced(starts: Any, values: Mapping[str, Any]) -> None:
             given = with_numbers(starts.chain, values)
-            seen.append(Varied.compare(given, _call(starts.vary, given, values))[0])
+            seen.append(VariedStructure.compare(given, _call(starts.vary, given, values))[0])
 
         eqx.filter_eval_shape(traced, self, values)
         return seen[0]
@@ -168,7 +168,7 @@ class SweepTask(eqx.Module):
     t0: Array
     t1: Array
     max_steps: Array | None = None  # of a lane, accepted or rejected
-    varied: Varied | None = eqx.field(static=True, default=None)
+    varied: VariedStructure | None = eqx.field(static=True, default=None)
     segments: int | None = eqx.field(static=True, default=None)
     n: int = eqx.field(static=True, default=1)
 
