@@ -129,16 +129,16 @@ class DecayOrVibrate(AbstractObserver):
         switching = field.switching(step.t1, v)
         assert switching is not None  # a field with a belt has `switching`
         speed: Any = field.stick_speed()
-        held = jnp.abs(switching[0]) <= speed
-        held = held & (field.excess_force(step.t1, left, step.y1, right) <= 0)
+        sticks = jnp.abs(switching[0]) <= speed
+        sticks = sticks & (field.excess_force(step.t1, left, step.y1, right) <= 0)
         period = 2.0 * jnp.pi / jnp.sqrt(field.stiffness_diagonal(x.shape[0]))
-        anew = held & (step.t1 - now.last > _APART * period)
+        anew = sticks & (step.t1 - now.last > _APART * period)
         since = jnp.where(anew, step.t1, now.since)
         periods = _STICKS if field.dry else _SMOOTHED_STICKS
         enough = jnp.maximum(periods * period, self.patience)
-        vibrates = held & (step.t1 - since > enough)
+        vibrates = sticks & (step.t1 - since > enough)
         died = now.died | self._dead(field, step.y1)
-        return _Watched(jnp.where(held, step.t1, now.last), since, died, now.vibrates | vibrates)
+        return _Watched(jnp.where(sticks, step.t1, now.last), since, died, now.vibrates | vibrates)
 
     def settled(self, accumulator: _Watched) -> Bool[Array, ""]:
         return accumulator.died | jnp.any(accumulator.vibrates)
@@ -160,13 +160,13 @@ class Trials(eqx.Module):
     @classmethod
     def of(cls, chain: Chain) -> Trials:
         """Trials of a chain; the decay rate of disturbances determines the length of the runs."""
-        frozen = lax.stop_gradient(chain)
-        rate = -growth_rate(frozen, frozen.belt_speed)
+        fixed = lax.stop_gradient(chain)
+        rate = -growth_rate(fixed, fixed.belt_speed)
         # NaN counts as no decay.
         time = jnp.where(rate > 0, _DECAYS / jnp.where(rate > 0, rate, 1.0), _LEAST)
         horizon = jnp.clip(time + _LEAST, _LEAST, _LONGEST)
         return cls(
-            frozen, steady_sliding(frozen)[0], quiet_radius(frozen), rate, horizon, jnp.zeros(())
+            fixed, steady_sliding(fixed)[0], quiet_radius(fixed), rate, horizon, jnp.zeros(())
         )
 
     def with_longer_runs(self, level: Int[Array, ""]) -> Trials:
@@ -236,8 +236,8 @@ _ONCE = "The size of a blow has first derivatives only: the change of its normal
 def hardest(chain: Chain) -> Float[Array, ""]:
     """The size of the hardest kick that is tried, in each of sqrt(n) directions."""
     stiffness = jnp.min(chain.stiffness_diagonal(chain.n))
-    held = jnp.max(chain.static_limit()) / jnp.sqrt(stiffness)
-    return _HARDEST * jnp.sqrt(chain.n) * (jnp.abs(chain.belt_speed) + held)
+    release_speed = jnp.max(chain.static_limit()) / jnp.sqrt(stiffness)
+    return _HARDEST * jnp.sqrt(chain.n) * (jnp.abs(chain.belt_speed) + release_speed)
 
 
 def as_direction(n: int, direction: Any) -> Float[Array, "1 n"]:

@@ -588,11 +588,11 @@ def blow_of_one_mass(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
 def _basin(chain: Chain, box: Box) -> SlidingBasin:
     along = jnp.sign(lax.stop_gradient(chain.belt_speed))
     mass, edges = _ahead(chain, box)
-    frozen = lax.stop_gradient(mass)
-    innermost = innermost_unstable_cycle(frozen)
+    fixed = lax.stop_gradient(mass)
+    innermost = innermost_unstable_cycle(fixed)
     exists = jnp.isfinite(innermost.fastest)
     # Without a cycle the equations get finite numbers that are not used.
-    valid = jnp.isfinite(frozen.highest) & (frozen.highest > 0)
+    valid = jnp.isfinite(fixed.highest) & (fixed.highest > 0)
     safe = jax.tree.map(lambda of: jnp.where(valid, of, 1.0), (mass, edges))
     top = jnp.where(exists, innermost.fastest, _ANY * lax.stop_gradient(safe[0].highest))
     once = return_map(*lax.stop_gradient((safe[0], top, safe[1])))

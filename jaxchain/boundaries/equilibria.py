@@ -305,31 +305,31 @@ def _check_sliding(model: Any) -> None:
 def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
     m, start = len(guess), lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
-    live, frozen = Rates.of(model, m), Rates.of(lax.stop_gradient(model), m)
+    live, fixed = Rates.of(model, m), Rates.of(lax.stop_gradient(model), m)
 
     def solved(residual: Any, args: Any, frozen_args: Any) -> tuple[Any, Array]:
         root = search(residual, start, frozen_args, tolerance, limit, weights)
         return root, attach_derivative(residual, root.value, args)
 
     sticking, interval = jnp.asarray(False), None
-    if frozen.direction is None:
-        root, u = solved(_residual, live, frozen)
-        J = jax.jacfwd(frozen)(root.value)
+    if fixed.direction is None:
+        root, u = solved(_residual, live, fixed)
+        J = jax.jacfwd(fixed)(root.value)
     else:
-        contact, sticking = model.contact, frozen.direction == STICK
+        contact, sticking = model.contact, fixed.direction == STICK
         given = guess[contact - m // 2]
-        root, u = solved(_balance, (live, given), (frozen, lax.stop_gradient(given)))
+        root, u = solved(_balance, (live, given), (fixed, lax.stop_gradient(given)))
         # Contacts that stick are left out, so that their eigenvalues are exactly 0.
         moves = [jnp.full(given.shape, True)] * m
         moves[contact] = moves[contact - m // 2] = jnp.broadcast_to(~sticking, given.shape)
         free = jnp.concatenate(moves)
-        J = jnp.where(jnp.outer(free, free), jax.jacfwd(frozen)(root.value), 0.0)
+        J = jnp.where(jnp.outer(free, free), jax.jacfwd(fixed)(root.value), 0.0)
 
         def end(direction: Array) -> Array:
             def at_limit(field: Any) -> Rates:
                 return Rates(field.with_(belt_speed=0.0), m, None, direction)
 
-            root, u = solved(_residual, at_limit(model), at_limit(frozen.field))
+            root, u = solved(_residual, at_limit(model), at_limit(fixed.field))
             return if_found(sticking & root.successful, jnp.split(u, m)[contact - m // 2])
 
         interval = jnp.sort(jax.vmap(end)(jnp.array([FORWARD, BACKWARD])), axis=0)
@@ -527,12 +527,12 @@ def _hopf_point(
     tolerance: Array,
     limit: Array,
 ) -> tuple[HopfPoint, Any]:
-    m, frozen = len(guess), lax.stop_gradient(model)
-    rates = Rates.of(frozen, m, parameter)
-    p = frozen.value_of(parameter)
+    m, fixed = len(guess), lax.stop_gradient(model)
+    rates = Rates.of(fixed, m, parameter)
+    p = fixed.value_of(parameter)
     y = lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(y.shape, y.shape[0] ** -0.5)
-    y = search(_residual, y, Rates.of(frozen, m), tolerance, limit, weights).value
+    y = search(_residual, y, Rates.of(fixed, m), tolerance, limit, weights).value
 
     def nearest(values: Array, far: Array) -> Array:
         return values[jnp.argmin(jnp.where(jnp.imag(values) > 0, far, jnp.inf))]

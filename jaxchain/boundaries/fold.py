@@ -563,19 +563,19 @@ def fold_speed_and_peak(
 @eqx.filter_jit
 def _belt_speed(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Array:
     """v_d with its derivatives."""
-    held = _held(chain, start)
+    shooting = _shooting_of(chain, start)
     z = lax.stop_gradient(search_end.point[-1])
     once = (
         "`fold_belt_speed` can be differentiated once only. For second derivatives take "
         "`find_fold(chain).belt_speed`."
     )
-    q = attach_derivative(held_residual, search_end.point[:-1], (held, z), once=once)
-    return if_found(search_end.converged, q[held.z_index] + _gained(chain, mass, start))
+    q = attach_derivative(fixed_peak_residual, search_end.point[:-1], (shooting, z), once=once)
+    return if_found(search_end.converged, q[shooting.z_index] + _gained(chain, mass, start))
 
 
-def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
+def fixed_peak_residual(q: Float[Array, " m"], args: tuple[Shooting, Array]) -> Float[Array, " m"]:
     """The equations of the cycle whose mass j has max w / eps = sinh z."""
-    shooting, z = held
+    shooting, z = args
     return _closure(*unknowns(shooting, jnp.append(q, z)), shooting)
 
 
@@ -618,23 +618,23 @@ def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold:
 @eqx.filter_jit
 def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Fold:
     """The fold with the derivatives of its cycle."""
-    held = _held(chain, start)
+    shooting = _shooting_of(chain, start)
     # (left, right) null vectors of dR/du at the fold.
-    slope = search_end.jacobian[:, :-1].at[:, held.z_index].set(search_end.jacobian[:, -1])
+    slope = search_end.jacobian[:, :-1].at[:, shooting.z_index].set(search_end.jacobian[:, -1])
     left, _, right = jnp.linalg.svd(
         jnp.where(search_end.converged, slope, jnp.eye(slope.shape[0]))
     )
-    both = jnp.append(*unknowns(held, search_end.point))
-    both = attach_derivative(fold_residual(_closure), both, (held, (left[:, -1], right[-1])))
-    _, state, period = held.unpack(both[:-1], both[-1])
+    both = jnp.append(*unknowns(shooting, search_end.point))
+    both = attach_derivative(fold_residual(_closure), both, (shooting, (left[:, -1], right[-1])))
+    _, state, period = shooting.unpack(both[:-1], both[-1])
     return Fold(
         belt_speed=if_found(search_end.converged, both[-1] + _gained(chain, mass, start)),
         period=period,
         state=state,
-        scaled_peak_velocity=jnp.sinh(both[held.z_index]),
+        scaled_peak_velocity=jnp.sinh(both[shooting.z_index]),
         residual=search_end.residual,
         result=start.result,
-        width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]
+        width=shooting.field.width,  # pyright: ignore[reportAttributeAccessIssue]
         evaluations=search_end.evaluations,
         mass=mass,
     )
@@ -656,7 +656,7 @@ def _find(chain: Chain, mass: int) -> tuple[FoldGuess, FoldSearch]:
     return start._replace(result=result), search_end
 
 
-def _held(chain: Chain, start: FoldGuess) -> Shooting:
+def _shooting_of(chain: Chain, start: FoldGuess) -> Shooting:
     """The equations with the numbers of `chain`."""
     wide = at_least_wide(chain, lax.stop_gradient(start.width))
     return eqx.tree_at(lambda s: s.field, start.shooting, wide)

@@ -468,11 +468,11 @@ def weakened(chain: Chain, share: Any) -> Chain:
     weak = chain.with_(damping_ratio=share * chain.damping_ratio, normal_load=share * chain.load)
     if chain.springs is None:
         return weak
-    held = (1.0 - share) * chain.springs.row_sum(chain.n)
+    removed = (1.0 - share) * chain.springs.row_sum(chain.n)
     return eqx.tree_at(
         lambda c: (c.stiffness, c.springs.constant),
         weak,
-        (chain.stiffness + held, share * chain.springs.constant),
+        (chain.stiffness + removed, share * chain.springs.constant),
     )
 
 
@@ -580,11 +580,11 @@ def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> S
 
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> Grazing:
-    frozen = lax.stop_gradient(chain)
-    alone = one_mass(frozen, mass)
+    fixed = lax.stop_gradient(chain)
+    alone = one_mass(fixed, mass)
     summits = dry_summits(alone)
-    dry = find_dry_fold(frozen, mass, alone, summits)
-    grazing = GrazingOrbit(frozen, dry.steps, mass)
+    dry = find_dry_fold(fixed, mass, alone, summits)
+    grazing = GrazingOrbit(fixed, dry.steps, mass)
     gap, slopes, highest = grazing_slopes(grazing, dry.q, dry.w)
     slope_plus, slope_minus = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
     (_, v), _, speed = grazing.unpack(dry.q, dry.w)
@@ -592,22 +592,22 @@ def _find(chain: Chain, mass: int) -> Grazing:
     slides = jnp.all(highest <= (1.0 + 1e-9) * speed)
     touches = dry.ratio >= 1.0
     folds = dry.is_fold & (slope_minus < 0) & (deceleration > 0)
-    at_speed = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
+    at_speed = eqx.tree_at(lambda c: c.belt_speed, fixed, speed)
     folds = folds & at_speed.can_be_cycle(jnp.exp(dry.q[-2]), jnp.abs(v))
     exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
     result = of.where(dry.is_fold | jnp.isnan(speed), result, of.no_turn)
     expected, damped = jnp.isfinite(summits.speeds[0]), alone.damping_ratio > 0
-    result = without_fold(result, expected, damped, damping_outweighs(frozen))
+    result = without_fold(result, expected, damped, damping_outweighs(fixed))
     result = of.where(exists, of.successful, result)
     # z = (q without the belt speed, w, v_d), the unknowns of the fold equations.
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
     left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
-    held = GrazingOrbit(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
-    z = if_found(exists, attach_derivative(_fold_equations, z, held))
-    state, period, speed = held[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
+    args = GrazingOrbit(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
+    z = if_found(exists, attach_derivative(_fold_equations, z, args))
+    state, period, speed = args[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(
         belt_speed=speed,
         period=period,
@@ -633,8 +633,8 @@ def _closure(u: Float[Array, " m"], speed: Any, grazing: GrazingOrbit) -> Float[
 _SADDLE_NODE = fold_residual(_closure)
 
 
-def _fold_equations(z: Float[Array, " m_plus_1"], held: Any) -> Float[Array, " m_plus_1"]:
+def _fold_equations(z: Float[Array, " m_plus_1"], args: Any) -> Float[Array, " m_plus_1"]:
     """The slip cycle closes, and grazes the belt speed or is a saddle-node."""
-    grazing, borders, touches = held
+    grazing, borders, touches = args
     r = _SADDLE_NODE(z, (grazing, borders))
     return r.at[-1].set(jnp.where(touches, z[-2], r[-1]))

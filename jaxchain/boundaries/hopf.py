@@ -73,11 +73,11 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
 
 @eqx.filter_jit
 def _speed(chain: Chain) -> Array:
-    frozen = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
+    fixed = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
     if has_uniform_damping(chain):
-        speed = _uniform(frozen)
+        speed = _uniform(fixed)
         return attach_derivative(_damping_residual, jnp.reshape(speed, (1,)), chain)[0]
-    crossing, shape, together = _mistuned(frozen)
+    crossing, shape, together = _mistuned(fixed)
     return attach_derivative(crossing_residual, crossing, (chain, shape, together))[0]
 
 

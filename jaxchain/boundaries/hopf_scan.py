@@ -239,7 +239,7 @@ def generalised_hopf(
 
 @eqx.filter_jit
 def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> GeneralisedHopf:
-    frozen = jax.tree.map(lax.stop_gradient, chain)
+    fixed = jax.tree.map(lax.stop_gradient, chain)
 
     def coefficient(chain: Chain, belt_speed: Array) -> Array:
         """l1 of one mass, whose modes are all alike."""
@@ -247,7 +247,7 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
         return first_lyapunov_coefficient(chain, belt_speed, jnp.sqrt(chain.stiffness), one)
 
     def l1_on_the_hopf_curve(logarithm: Array) -> Array:
-        varied = frozen.with_(**{parameter: jnp.exp(logarithm)})
+        varied = fixed.with_(**{parameter: jnp.exp(logarithm)})
         return coefficient(varied, hopf_belt_speed(varied))
 
     def zoom(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -273,9 +273,9 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
     ends = jnp.log(low), jnp.log(high), jnp.asarray(False)
     start, _, changed = lax.fori_loop(0, 5, zoom, ends)
     value = jnp.exp(start)
-    unit = jnp.stack([value, hopf_belt_speed(frozen.with_(**{parameter: value}))])
+    unit = jnp.stack([value, hopf_belt_speed(fixed.with_(**{parameter: value}))])
     # The error of third derivatives at a width eps is rounding over eps^3.
-    root = newton(system, jnp.ones(2), (frozen, unit), tolerance=1e-8)
+    root = newton(system, jnp.ones(2), (fixed, unit), tolerance=1e-8)
     result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
     value = jnp.where(changed & root.successful, root.value, jnp.nan)
     value, speed = attach_derivative(system, value, (chain, unit)) * unit

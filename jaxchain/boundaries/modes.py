@@ -305,10 +305,10 @@ def _sliding(u: Array, rates: Rates) -> Array:
 def _modes(
     model: Any, name: str | None, state: State, values: Array, tolerance: Array, limit: Array
 ) -> ComplexModes:
-    m, frozen = len(state), lax.stop_gradient(model)
+    m, fixed_model = len(state), lax.stop_gradient(model)
     start = lax.stop_gradient(jnp.concatenate(state))
     points = lax.stop_gradient(values)
-    root = equilibria_over(Rates.of(frozen, m, name), start, points, tolerance, limit)
+    root = equilibria_over(Rates.of(fixed_model, m, name), start, points, tolerance, limit)
 
     def matrix(u: Array, p: Array) -> tuple[Array, Array]:
         rates = Rates.of(model if name is None else model.with_(**{name: p}), m)
@@ -325,7 +325,7 @@ def _modes(
 
     def outcome(u: Array, p: Array, result: SearchResult) -> SearchResult:
         """A failure where a dry mass does not move over the belt: it has no linear model."""
-        there: Any = frozen if name is None else frozen.with_(**{str(name): p})
+        there: Any = fixed_model if name is None else fixed_model.with_(**{str(name): p})
         layer = there.layer(0.0, tuple(jnp.split(u, m))) if there.dry else None
         slides = True if layer is None else jnp.all(layer[0] != 0)
         return SearchResult.where(slides, result, SearchResult.nonfinite)

@@ -178,7 +178,7 @@ class _CycleEquations(eqx.Module):
         """R, for steps without new derivatives."""
         return self.values(U)[0] if self.smooth else self.residual(U)
 
-    def frozen(self, U: Array, left: Array, right: Array) -> Array:
+    def with_fixed_vectors(self, U: Array, left: Array, right: Array) -> Array:
         """A function that has the slopes of g at the point of a = `left` and b = `right`."""
         u, parameters, kappa = self.split(U)
         shooting = self.shooting
@@ -288,7 +288,7 @@ class _CycleEquations(eqx.Module):
         r, slopes, extra, left, right = self.values(U)
         m, k = self.shooting.size, self._extra
         top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
-        last = jax.jacfwd(self.frozen)(U, left, right)
+        last = jax.jacfwd(self.with_fixed_vectors)(U, left, right)
         return r, jnp.concatenate([jnp.concatenate(top, axis=1), last]), extra
 
 
@@ -301,10 +301,10 @@ def _test(U: Array, equations: _CycleEquations) -> Array:
 def _test_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     r, _, _, *vectors = primals[1].values(primals[0])
 
-    def frozen(U: Array, equations: _CycleEquations) -> Array:
-        return equations.frozen(U, *vectors)
+    def fixed(U: Array, equations: _CycleEquations) -> Array:
+        return equations.with_fixed_vectors(U, *vectors)
 
-    _, tangent = eqx.filter_jvp(frozen, primals, tangents)
+    _, tangent = eqx.filter_jvp(fixed, primals, tangents)
     return r[primals[1].shooting.size :], tangent
 
 
@@ -559,10 +559,10 @@ def _find(
     def equations(field: Any) -> _CycleEquations:
         return replace(given, shooting=replace(given.shooting, field=field, parameter=(name,)))
 
-    frozen, weights = equations(lax.stop_gradient(model)), 1.0 / (1.0 + jnp.abs(U))
+    fixed, weights = equations(lax.stop_gradient(model)), 1.0 / (1.0 + jnp.abs(U))
 
     def both(U: Array) -> tuple[Array, Any, Any]:
-        value, slopes, extra = frozen.linearise(U)
+        value, slopes, extra = fixed.linearise(U)
         return value, factorise(slopes, weights), (jnp.max(jnp.abs(value)), extra)
 
     root, result, steps = solve(both, lax.stop_gradient(U), weights, tolerance, limit)
@@ -572,7 +572,7 @@ def _find(
     moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | forced)
     lost = (result == SearchResult.successful) & ~moves
     result = SearchResult.where(lost, SearchResult.steady_sliding, result)
-    if frozen.dry:
+    if fixed.dry:
         more = (result == SearchResult.successful) & (jnp.max(extra.margins) > _MET)
         result = SearchResult.where(more, SearchResult.other_events, result)
     once = "A special cycle can be differentiated once only."
@@ -583,7 +583,7 @@ def _find(
     _, state, period = live.shooting.unpack(u, value)
     return SpecialCycle(
         kind=given.kind, parameter=name, value=value, state=state, period=period, residual=left,
-        result=result, steps=steps, equations=frozen, unknowns=root,
+        result=result, steps=steps, equations=fixed, unknowns=root,
     )  # fmt: skip
 
 

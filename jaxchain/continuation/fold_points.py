@@ -78,11 +78,11 @@ def _singularity_jvp(primals: Any, tangents: Any, *, residual: Any) -> tuple[Arr
     z, args, borders = primals
     phi, psi, _ = _bordered(_state_slope(residual, z, args), borders)
 
-    def frozen(z: Array, args: Any) -> Array:
+    def with_fixed_vectors(z: Array, args: Any) -> Array:
         along = jax.jvp(lambda u: _value(residual(u, z[-1], args)), (z[:-1],), (phi,))[1]
         return -jnp.sum(psi * along)
 
-    _, tangent = eqx.filter_jvp(frozen, (z, args), tangents[:2])
+    _, tangent = eqx.filter_jvp(with_fixed_vectors, (z, args), tangents[:2])
     return _singularity(z, args, borders, residual=residual), tangent
 
 

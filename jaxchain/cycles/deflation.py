@@ -158,7 +158,7 @@ def random_starts(
 ) -> tuple[tuple[Array, ...], Float[np.ndarray, " starts"]]:
     """States in which random masses vibrate with random phases, and the period of one mass.
 
-    Mass `mass` vibrates as it does while its neighbours are held, and so does each of the others
+    Mass `mass` vibrates as it does while its neighbours are fixed, and so does each of the others
     with probability 1/2, at a random phase; the rest slide steadily.
 
     **Returns:** ((x, v), both of shape (count, n), periods of shape (count,)).

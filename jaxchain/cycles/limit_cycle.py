@@ -815,27 +815,27 @@ def find_limit_cycle(
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
-    frozen = lax.stop_gradient(model)
+    fixed = lax.stop_gradient(model)
     if model.n is not None and (m := len(model.variables)):  # before anything long starts
-        as_symmetry(images, frozen, (jnp.zeros(model.n),) * m)
-    mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
-    images, shift = as_symmetry(images, frozen, state, mass)
+        as_symmetry(images, fixed, (jnp.zeros(model.n),) * m)
+    mass, state, period = resolve_guess(fixed, guess, period, mass, branch, throw)
+    images, shift = as_symmetry(images, fixed, state, mass)
 
     def failed(cycle: LimitCycle) -> bool:
         return not is_traced(cycle.successful) and not cycle.successful
 
-    m, n, forced = len(state), state[0].shape[0], frozen.forcing_period() is not None
+    m, n, forced = len(state), state[0].shape[0], fixed.forcing_period() is not None
     forcing_periods = guess.turns if forced and isinstance(guess, LimitCycle) else None
     if forcing_periods is None:
-        forcing_periods = forcing_periods_of(frozen, period)
+        forcing_periods = forcing_periods_of(fixed, period)
     if model.dry:
         solve = dry_cycle
-        equations = _States(frozen, to_float(rtol), EventDriven(), m, n, mass, forcing_periods)
+        equations = _States(fixed, to_float(rtol), EventDriven(), m, n, mass, forcing_periods)
     else:
         given = 1e-9 if is_traced(rtol) else float(rtol)
-        solver = fit_linear_solve(Rodas5P(), frozen, given, state=state)
+        solver = fit_linear_solve(Rodas5P(), fixed, given, state=state)
         solve = solve_cycle
-        equations = Shooting(frozen, rtol, solver, mass, images, None, m, forcing_periods, shift)
+        equations = Shooting(fixed, rtol, solver, mass, images, None, m, forcing_periods, shift)
     reason = ""
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))
@@ -857,7 +857,7 @@ def find_limit_cycle(
         cycle = with_derivatives(equations, model, cycle, u)
     if throw and failed(cycle):
         raise RuntimeError(
-            _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
+            _failure(cycle) if guess is not None else _missing(fixed, branch, reason)
         )
     return cycle
 

@@ -61,7 +61,7 @@ _LEAST_SHARE = 0.01
 # Steps of a run, some 5,000 periods: a search may try laws for which they are very small.
 _MOST_STEPS = 500_000
 # How close to the speed of the belt a mass that sticks is.
-_HELD = 1e-6
+_STICKING = 1e-6
 What = Literal["displacement", "velocity", "friction_force"]
 
 
@@ -493,7 +493,7 @@ def _along(chain: Chain, signal: Signal, mass: int) -> Float[Array, " m"]:
             return chain.load * chain.friction.force(w)
         # Unlike in a cycle, it may be faster than the belt.
         slides = -jnp.sign(w) * chain.load * chain.law.coefficient(jnp.abs(w))
-        return jnp.where(jnp.abs(w) < _HELD, -chain.free_force(x, v), slides)
+        return jnp.where(jnp.abs(w) < _STICKING, -chain.free_force(x, v), slides)
 
     return jax.vmap(friction)(x, v)[:, mass]
 
@@ -536,8 +536,8 @@ class Waveform(eqx.Module):
             within = jnp.minimum(jnp.concatenate(nodes), self.period)  # rounding may go beyond
             x, v = self._run(Trajectory(within))
             k = _NODES[0]
-            held = jnp.abs(v[k:, mass] - chain.belt_speed) < _HELD
-            self.sound &= jnp.all(held) | (stick == 0.0)
+            sticking = jnp.abs(v[k:, mass] - chain.belt_speed) < _STICKING
+            self.sound &= jnp.all(sticking) | (stick == 0.0)
             slides = jax.vmap(partial(self._with_slope, sticks=False))(x[:k], v[:k])
             sticks = jax.vmap(partial(self._with_slope, sticks=True))(x[k:], v[k:])
             self.slip, self.parts = slip / self.period, ((slides, slip), (sticks, stick))

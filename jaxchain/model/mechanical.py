@@ -461,10 +461,10 @@ class MechanicalCells(AbstractCells):
             return None
         u = self.sliding
         matrix = self._matrix("stiffness")
-        held: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
+        stiffness: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
         share: Any = self.compliance()[u]
         nominal = jnp.max(self.normal_load)
-        unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(held > 0, held, 1.0)))
+        unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(stiffness > 0, stiffness, 1.0)))
         return self.law, 1.0, self.belt_speed, unit
 
     def forcing_period(self) -> ScalarLike | None:

@@ -173,12 +173,12 @@ class AbstractOscillators(AbstractModel):
         _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
         if slopes.time is not None:
             return jnp.asarray(False)
-        held = self.stiffness_diagonal(x.shape[0])
+        margin = self.stiffness_diagonal(x.shape[0])
         if slopes.displacement is not None:
-            held = held - slopes.displacement
+            margin = margin - slopes.displacement
         if self.springs is not None:
-            held = held - self.springs.strength(x.shape[0])
-        return jnp.all(slopes.velocity < 0) & jnp.all(held > 0)
+            margin = margin - self.springs.strength(x.shape[0])
+        return jnp.all(slopes.velocity < 0) & jnp.all(margin > 0)
 
     def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
         """tr J = sum of dh_n/dv_n."""

@@ -333,13 +333,13 @@ def sticking(model: AbstractModel, states: Given[StateLike]) -> np.ndarray:
     limit = known.stick_speed() + rounding
 
     @eqx.filter_jit
-    def held(state: Any) -> Any:
+    def sticks_in(state: Any) -> Any:
         layer: Any = model.layer(0.0, state)
         left, right = model.neighbours(state)
         excess = model.excess_force(0.0, left, state, right)
         return (jnp.abs(layer[0]) <= limit) & (excess <= 0)
 
-    return np.asarray(jax.vmap(held)(parts))
+    return np.asarray(jax.vmap(sticks_in)(parts))
 
 
 def _sticks(model: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
@@ -692,12 +692,12 @@ class _Film:
 
     def add_curves(self, strip: Axes, plane: Axes) -> None:
         """x over time and v over x, with a point for every mass that moves along them."""
-        t, x, v, held = self._closed()
+        t, x, v, sticks = self._closed()
         for axes, across, up in ((strip, np.broadcast_to(t[:, None], x.shape), x), (plane, x, v)):
             axes.plot(across, up, color=BLUE, linewidth=0.7)
             # Curves are bold from the first to the last frame in which the mass sticks.
             bold: Any = {"linewidth": 2.2, "solid_capstyle": "butt"}
-            axes.plot(across, np.where(held, up, np.nan), color=ORANGE, **bold)
+            axes.plot(across, np.where(sticks, up, np.nan), color=ORANGE, **bold)
             for marker, colour in (("s", ORANGE), ("o", BLUE)):
                 look: Any = {"color": colour, "markeredgecolor": "black", "markeredgewidth": 0.5}
                 self.dots += axes.plot([], [], marker, markersize=4.5, zorder=4, **look)
@@ -730,10 +730,10 @@ class _Film:
         """Moves everything to its position in a frame; returns what has changed."""
         time, x, v, stuck = (part[frame] for part in (self.times, self.x, self.v, self.sticks))
         middles, half = self.home + x, 0.5 * self.wide
-        for block, number, middle, held in zip(
+        for block, number, middle, sticks in zip(
             self.blocks, self.numbers, middles, stuck, strict=True
         ):
-            block.set(x=middle - half, **(_STICKS if held else _SLIDES))
+            block.set(x=middle - half, **(_STICKS if sticks else _SLIDES))
             number.set_x(middle)
         ends = zip(self.home + self.post, middles - half, strict=True)
         ground = [zigzag((a, _SPRING), (b, _SPRING), 4, swing=0.1) for a, b in ends]

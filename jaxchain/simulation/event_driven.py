@@ -369,19 +369,19 @@ class EventDrivenPlan(AbstractPlan):
         The accumulators change only if it `counts`.  If `noting`, it also returns the notes of
         observers that take notes.
         """
-        frozen = lax.stop_gradient
+        constant = lax.stop_gradient
         memory, t0, before = progress.memory, progress.t, progress.state
         modes = memory.modes
         series = expand(field, t0, before, modes, self.order, memory.friction)
         left = end - t0
         per_scale = [
             1.0 / (self.atol + self.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])))
-            for x, v in frozen(list(zip(series.x, series.v, strict=True)))
+            for x, v in constant(list(zip(series.x, series.v, strict=True)))
         ]
-        bearable = frozen(_step_length(self.order, series, per_scale))
+        bearable = constant(_step_length(self.order, series, per_scale))
         bearable = jnp.minimum(jnp.minimum(bearable, self.max_step), memory.longest)
         length = jnp.minimum(left, bearable)
-        until, hits = next_event(*frozen((field, series, modes, length)))
+        until, hits = next_event(*constant((field, series, modes, length)))
         length = jnp.where(until < length, until, length)
         meets = (length >= left) & ~jnp.any(hits)
 
@@ -405,7 +405,7 @@ class EventDrivenPlan(AbstractPlan):
         mu, known = friction_coefficient(field, state[contact], new.direction, series.w[0])
         chosen = free_as_chosen(field, series, t1, state, free)
         right = rates(field, chosen, mu, modes.direction)
-        gaps = [frozen(a - b) for a, b in zip(slopes, right, strict=True)]
+        gaps = [constant(a - b) for a, b in zip(slopes, right, strict=True)]
         defect = materialize(_greatest(gaps, per_scale))  # NaN if any number is
         accepted = length * defect <= _BEARABLE * (self.order + 1)
         finite = jnp.isfinite(defect)
@@ -414,7 +414,7 @@ class EventDrivenPlan(AbstractPlan):
         kept = state, new, known
         state, new, known = where(accepted, kept, (before, modes, memory.friction))
         stalled = jnp.where(t1 > t0, 0, memory.stalled + 1)
-        longest = jnp.where(accepted, _RECOVERY * memory.longest, 0.5 * frozen(length))
+        longest = jnp.where(accepted, _RECOVERY * memory.longest, 0.5 * constant(length))
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:

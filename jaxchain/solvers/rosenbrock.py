@@ -296,16 +296,16 @@ def _inverse(h: Array) -> Array:
     return 1.0 / jnp.where(h == 0, 1.0, h)
 
 
-def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Array:
-    """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + held = 0.
+def _growth(field: AbstractOscillators, h: Array, stiffness: Any, slope: Array) -> Array:
+    """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + stiffness = 0.
 
     The springs of neighbours are assumed to have their greatest effect.
     """
     if field.springs is not None:
-        held = held - field.springs.strength(slope.shape[0])
+        stiffness = stiffness - field.springs.strength(slope.shape[0])
     half = 0.5 * slope
-    oscillates = half**2 <= held
-    root = jnp.sqrt(jnp.where(oscillates, 1.0, half**2 - held))
+    oscillates = half**2 <= stiffness
+    root = jnp.sqrt(jnp.where(oscillates, 1.0, half**2 - stiffness))
     return jnp.max(h * half + jnp.where(oscillates, 0.0, jnp.abs(h) * root))
 
 
@@ -461,8 +461,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         force, slopes = field.local_force_and_slopes(t, x, v)
         h_t, h_x = slopes.time, slopes.displacement
         stiffness = spread(field.stiffness_diagonal(n), x)
-        held = stiffness if h_x is None else stiffness - h_x
-        diagonal = per_h / tab.gamma - slopes.velocity + hg * held
+        tangent_stiffness = stiffness if h_x is None else stiffness - h_x
+        diagonal = per_h / tab.gamma - slopes.velocity + hg * tangent_stiffness
         springs = field.springs
         solver = spring_solver(diagonal, springs, hg, self.sweeps, flat=known)
         pulls = None if springs is None else [spread(springs.product(p), x) for p in y0]
@@ -496,7 +496,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         error = (hs * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
         checks = []
         if jax.eval_shape(field.growth_time) is None:  # computes nothing
-            checks.append(_growth(field, h, held, slopes.velocity) <= _MOST_GROWTH)
+            checks.append(_growth(field, h, tangent_stiffness, slopes.velocity) <= _MOST_GROWTH)
         error, result = self._judged(solver, error, [[], b], checks)
         return y1, error, {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}, None, result
 

@@ -33,7 +33,7 @@ NEAR = 8.0
 LANDING = 5.4
 # The force falls within two widths on either side: three are the longest step that sees it.
 CROSSING = 3.0
-# While a held mass creeps outward between the first two |w|, in widths, a step changes w by a
+# While a sticking mass creeps outward between the first two |w|, in widths, a step changes w by a
 # quarter of a width at the rate of the step before; at half a width some steps miss the release of
 # narrow widths.  Between the last two an error of the velocity is hardly damped any more, and the
 # mass is still slow.

@@ -89,8 +89,8 @@ def claims(numbers, margin=0.01):
         lanes = np.flatnonzero((numbers[:, 3] < 1e-5) == dry)
         if lanes.size:
             goes_on[lanes] = vibrates(numbers[lanes], speeds[lanes], dry)
-    held = goes_on[:, 0] & ~goes_on[:, 1] & ~goes_on[:, 2]
-    wrong = np.where(found, ~held, none & goes_on.any(axis=1))
+    is_fold = goes_on[:, 0] & ~goes_on[:, 1] & ~goes_on[:, 2]
+    wrong = np.where(found, ~is_fold, none & goes_on.any(axis=1))
     missed = ~found & ~none & goes_on[:, 1:].any(axis=1)
     return folds, base, hopf, np.flatnonzero(wrong), np.flatnonzero(missed)
 

@@ -406,8 +406,8 @@ def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
         there = cells.with_(force=force)
         begin = settled(there, step, 60 * forcing_periods, (float(point.state[0][0]), 0.2))
         run = simulate(there, begin, forcing_periods * step, observe=Trajectory(times))
-        held = np.abs(np.asarray(run.observed[1])[:-1, 0] - 0.2) < 1e-12
-        return np.sum(held & ~np.roll(held, 1))
+        sticking = np.abs(np.asarray(run.observed[1])[:-1, 0] - 0.2) < 1e-12
+        return np.sum(sticking & ~np.roll(sticking, 1))
 
     assert [sticks(point.value + d) for d in (-1e-4, 1e-4)] == [1, 2]
     # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.
