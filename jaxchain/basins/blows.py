@@ -355,7 +355,7 @@ def normal(
 def with_derivative(
     chain: Chain, size: Float[Array, ""], direction: Float[Array, " n"], time: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """The size as a function of the numbers of the chain, with a fixed direction.
+    """The size as a function of the parameters of the chain, with a fixed direction.
 
     At the gentlest blow a change of the direction has no first-order effect.
     """
@@ -545,8 +545,8 @@ _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 class Blow(Outcome):
     """The gentlest blow that `gentlest_blow` found.
 
-    - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the numbers of
-      the chain; 0 if steady sliding is unstable, inf if no kick leads to vibration, NaN if the
+    - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the parameters
+      of the chain; 0 if steady sliding is unstable, inf if no kick leads to vibration, NaN if the
       search or its check failed.
     - `kick`: Delta v, shape (n,), without derivatives; `mass`, the index of the mass with the
       hardest kick, and `share`, its share of the energy.
@@ -615,7 +615,7 @@ def gentlest_blow(
     `blow_of_one_mass` (without `direction`), with an error of some 1e-10; otherwise the error is
     1e-7.  In a ring of equal masses all rotations of a blow are equivalent: the one with the
     hardest kick on mass n // 2 is returned.  It works under `jit` and `vmap`; `size` has first
-    derivatives in all numbers of the chain by the implicit function theorem, with a fixed
+    derivatives in all parameters of the chain by the implicit function theorem, with a fixed
     direction, whose change has no first-order effect at a minimum.  Runs on both sides prove that
     it is a threshold; `starts` and `tries` make it likely, but do not prove, that it is the global
     minimum.  The search is one for a minimal seed: R. R. Kerswell, Nonlinear nonmodal stability

@@ -177,7 +177,7 @@ class VibratingMasses(AbstractClassifier):
     - `window`: at least a period, 2 pi; `tolerance`; `agree`; `calm`, infinite to end no run
       early.
     - `above`: the amplitude above which a mass or cell vibrates; None for |v_d|/2 of a `Chain`,
-      which other models do not have.  `component`: the number of a cell that is observed.
+      which other models do not have.  `component`: the variable of a cell that is observed.
 
     **Value:** `Settled`.
 

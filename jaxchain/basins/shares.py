@@ -467,7 +467,7 @@ def basin_shares(
     - `model`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.  Or
       `AbstractOscillators` or `AbstractCells`, with `classify`; forced ones start at t = 0.
     - `region`: a `Box`, `Ball` or `Gaussian` of a `Chain`; a `Ranges` or `Sampler` of any model.
-    - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
+    - `over`: as for `sweep`, parameters of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
       the same starts.
     - `half_width`: starts are added until every 95 % bar is at most this half-width, or until
       there are `most` starts at every parameter.

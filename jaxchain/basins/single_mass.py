@@ -502,7 +502,7 @@ def sliding_share(chain: Chain, box: Box | None = None) -> Float[Array, ""]:
 
     **Returns:** a scalar with an error of about 1e-10; NaN if it is unknown (`sliding_basin` gives
     the reason).  It works under `jit`, `vmap`, `grad`, `jvp` and `jacfwd`, for first derivatives
-    in every number of the chain and in the bounds of the box.
+    in every parameter of the chain and in the bounds of the box.
 
     **Raises:** `ValueError` for a chain of several masses, or anything but a `Box`.
 

@@ -525,8 +525,8 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
     width and corrected by the asymptotics of `Grazing.smoothed`, with an error below 1e-10 of that
     speed, or 1e-8 if the slip cycle is very unstable.  The correction enters only the derivative
     in the width; other derivatives then have an error of about 1e-6.  It works under
-    `jit`, `vmap`, `grad` and `jvp`, in every number of the chain, for first derivatives: since v_d
-    is stationary along the branch, they are those of a cycle with fixed max w / eps.
+    `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first derivatives: since
+    v_d is stationary along the branch, they are those of a cycle with fixed max w / eps.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -657,7 +657,7 @@ def _find(chain: Chain, mass: int) -> tuple[FoldGuess, FoldSearch]:
 
 
 def _shooting_of(chain: Chain, start: FoldGuess) -> Shooting:
-    """The equations with the numbers of `chain`."""
+    """The equations with the parameters of `chain`."""
     wide = at_least_wide(chain, lax.stop_gradient(start.width))
     return eqx.tree_at(lambda s: s.field, start.shooting, wide)
 
@@ -691,8 +691,8 @@ def fold_belt_speeds(
     **Arguments:**
 
     - `chain`, `mass`: as for `fold_belt_speed`.
-    - `over`: as for `sweep`: a mapping from numbers of the chain or of its friction law to values,
-      or from a dimension to a mapping or data frame of several numbers that vary together:
+    - `over`: as for `sweep`: a mapping from parameters of the chain or of its friction law to
+      values, or from a dimension to a mapping or data frame of parameters that vary together:
       `{"sample": {"damping_ratio": xi, "v_ref": speeds}}`.
     - `progress`: show a progress bar.
 
@@ -792,7 +792,7 @@ def fold_belt_speeds(
 
 
 class _FoldTask(eqx.Module):
-    """The data common to all sets: their chain, and the names of the numbers that vary."""
+    """The data common to all sets: their chain, and the names of the parameters that vary."""
 
     chain: Chain
     mass: int = eqx.field(static=True)

@@ -537,7 +537,7 @@ def dry_fold_belt_speed(chain: Chain, mass: Given[int | None] = None) -> Float[A
 
     **Returns:** the dimensionless v_d, with a relative error of about 1e-11; NaN if there is no
     fold or none is found.  `find_grazing` returns its kind, or the reason.  Works under `jit`,
-    `vmap`, `grad`, `jvp` and `jax.hessian`, in every number of the chain.
+    `vmap`, `grad`, `jvp` and `jax.hessian`, in every parameter of the chain.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 

@@ -211,7 +211,7 @@ def generalised_hopf(
     **Arguments:** `chain` of one mass; `parameter`, the name of the varied number, such as
     "damping_ratio", "mu_static" or "width"; `low`, `high`, its positive bounds.
 
-    **Returns:** both dimensionless numbers, differentiable in every other number of the chain.
+    **Returns:** both dimensionless numbers, differentiable in every other parameter of the chain.
     Works under `jit` and `vmap`.
 
     **Raises:** `ValueError` for a chain of several masses, an unknown name or a bad interval.
@@ -512,7 +512,7 @@ class HopfPoints(Printed, eqx.Module):
       instead of sticking.
 
     In a homogeneous chain all n modes cross at one belt speed; each coefficient then is that of
-    one wave alone, and its cycles are those of the full chain while their growth is slow compared
+    one wave alone.  Its cycles are cycles of the full chain while their growth is slow compared
     with the differences of the frequencies.  If 4 q is a multiple of 2 pi there is a second
     standing wave, cos(q (n + 1/2)), with another coefficient.
 
@@ -593,7 +593,7 @@ def hopf_points(chain: Chain, belt_speeds: Given[ArrayLike] = (0.0, GREATEST_SPE
 
 
 def _simplified(chain: Chain) -> Chain:
-    """The same chain; equal numbers per mass become one number, and zero springs are removed."""
+    """The same chain; equal parameters per mass become one, and zero springs are removed."""
 
     def one(value: Array) -> Array:
         if jnp.ndim(value) == 0 or not bool(jnp.all(value == value[0])):

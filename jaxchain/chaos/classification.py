@@ -191,14 +191,14 @@ class Criteria:
     """The thresholds, with their reasons.
 
     - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
-      Of other cells it is that of each of the m numbers, in its own unit; a number below it counts
-      in no other criterion.
-    - `near`: spread of section points, relative to the amplitude (of each of the m numbers of
+      Of other cells it is that of each of the m variables, in its own unit; a variable below it
+      counts in no other criterion.
+    - `near`: spread of section points, relative to the amplitude (of each of the m variables of
       other cells), below which Newton's method is tried; it converges from there, and a periodic
       orbit much farther away is a different one.
     - `sits`: spread of a run that stays on its orbit: above the solver's error of 1e-6, below that
       of a passage near an unstable orbit.
-    - `gap`: the residual of Newton's method, relative to the amplitude of each number of a cell.
+    - `gap`: the residual of Newton's method, relative to the amplitude of each variable of a cell.
     - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
       the slowest relaxation seen in blocks of vibrating masses, 1e-3.  Give a smaller one for
       cells that are damped more weakly, or whose periods are much longer than 2 pi.
@@ -418,8 +418,8 @@ class RunRecord(NamedTuple):
     - `peaks`: times of the maxima of every displacement, NaN where none.
     - `point_times`, `points`: when the reference mass was at a maximum, and the state
       (x_1 .. x_n, v_1 .. v_n) then; of forced cells at multiples of the forcing period.
-    - `sizes`: the greatest amplitude over the cells, of each number of a cell; of masses only that
-      of the displacement.
+    - `sizes`: the greatest amplitude over the cells, of each variable of a cell; of masses only
+      that of the displacement.
     """
 
     t: Float[_Numbers, "*batch W"]
@@ -821,13 +821,13 @@ def verdicts(
     """A verdict for each of several initial states of a chain, with all their runs at once.
 
     Every state is run without noise, and `seeds` times with each level of `noise` added to
-    displacements and velocities, or to all m numbers of other cells.  A run continues, doubling
+    displacements and velocities, or to all m variables of other cells.  A run continues, doubling
     its time, until it is steady or approaches a periodic orbit that Newton's method has found, at
     most to `longest`.  The leading exponents are measured for runs that never close.
 
     A forced motion (see `AbstractCells.forcing_period`) is examined at multiples of the period of
     the force, and is periodic if it repeats after one to four of them, or if all its exponents
-    are negative.  Without forcing, states at the maxima of the first number of a cell are
+    are negative.  Without forcing, states at the maxima of the first variable of a cell are
     examined; if only other numbers move, and for an angle that grows, the exponents decide.
 
     **Arguments:**

@@ -117,12 +117,12 @@ class CyclePoint(Printed):
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
-        """The first number of each cell, of a chain the displacements."""
+        """The first variable of each cell, of a chain the displacements."""
         return self.state[0]
 
     @property
     def v(self) -> Float[np.ndarray, " n"]:
-        """The second number of each cell, of a chain the velocities."""
+        """The second variable of each cell, of a chain the velocities."""
         return self.state[1]
 
     @property
@@ -295,7 +295,7 @@ def linearise(
 ) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
     """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
 
-    `parameter`: a number, or a tuple of those that `shooting.parameter` names.
+    `parameter`: the value of `shooting.parameter`, or a tuple of values if it names several.
     """
     parameters = parameter if isinstance(parameter, tuple) else (parameter,)
     r, jacobian, whole = shooting.linearise(u, *parameters)
@@ -516,12 +516,12 @@ class CycleBranch(Printed):
 
     @property
     def x(self) -> Float[np.ndarray, "k n"]:
-        """The first number of each cell, of a chain the displacements."""
+        """The first variable of each cell, of a chain the displacements."""
         return self.state[0]
 
     @property
     def v(self) -> Float[np.ndarray, "k n"]:
-        """The second number of each cell, of a chain the velocities."""
+        """The second variable of each cell, of a chain the velocities."""
         return self.state[1]
 
     @property
@@ -568,7 +568,7 @@ class CycleBranch(Printed):
         }
 
     def _named(self, states: list[np.ndarray]) -> Iterator[tuple[str, np.ndarray, str]]:
-        """Name, values and unit of each number of a cell."""
+        """Name, values and unit of each variable of a cell."""
         field = self.shooting.field
         for i, part in enumerate(states):
             yield field.variable(i).name, part, field.variable(i).unit
@@ -714,7 +714,7 @@ def continue_cycle(
     tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> CycleBranch:
-    """Follows a cycle as a number of the chain changes, around folds, with stability.
+    """Follows a cycle as a parameter of the chain changes, around folds, with stability.
 
     Pseudo-arclength continuation (`continue_branch`) of the shooting equations, with a section at
     the greatest velocity of one mass, in the coordinates u = (x_n, z_n = asinh(w_n / eps), ln T).

@@ -361,7 +361,7 @@ def _cycle(
 def with_derivatives(
     equations: Any, model: AbstractModel, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
-    """`cycle` with its derivatives in the numbers of `model`."""
+    """`cycle` with its derivatives in the parameters of `model`."""
     equations = eqx.tree_at(lambda eqs: eqs.field, equations, model)
     unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), equations)
     _, state, period = equations.unpack(unknowns[: u.size])
@@ -790,9 +790,9 @@ def find_limit_cycle(
 
     **Returns:** a `LimitCycle` with its minimal period: a multiple (up to 16) of the minimal
     period is detected, and the minimal one is solved for instead.  State, period, amplitude and
-    energy have derivatives in every number of the chain, forward and in reverse; the other fields
-    are constant. It works under `vmap` and `jit`; there `throw` has no effect, and without a guess
-    only the given belt speed is tried.
+    energy have derivatives in every parameter of the chain, forward and in reverse; the other
+    fields are constant. It works under `vmap` and `jit`; there `throw` has no effect, and without
+    a guess only the given belt speed is tried.
 
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
     equilibrium is never returned as a cycle.  A family, such as cycles without any damping, or

@@ -12,7 +12,7 @@ at the start and the durations tau_k of the phases as unknowns a cycle solves
 | peak | w_i' = 0 |
 | turn | r_i' = 0 of a mass that sticks |
 
-These equations are smooth in the numbers of the chain, also where a mass only just touches the
+These equations are smooth in the parameters of the chain, also where a mass only just touches the
 belt speed or the static limit, so that such a cycle needs one more of them:
 
 | kind | at | one more equation |

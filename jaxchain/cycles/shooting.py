@@ -14,12 +14,12 @@ every width of the smoothed friction:
 Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
 of of z).  If forces depend on displacement other than by -K x, x_j is not explicit: it is one more
 unknown, in its place among the x_n, and its acceleration at the cut is one more equation.  The
-same holds for other cells, whose m numbers are all unknown; z replaces their number `contact`.
+same holds for other cells, whose m variables are all unknown; z replaces their variable `contact`.
 
 An orbit with x_motion[n](t + T / k) = x_n(t), a `shift`, returns after T / k already, moved.
 
-A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N numbers
-are the only unknowns, and their return gives the only equations.
+A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N
+variables are the only unknowns, and their return gives the only equations.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class Shooting(eqx.Module):
 
     @property
     def _starts(self) -> list[int]:
-        """The index in u at which each of the m numbers begins, and the end of the last one."""
+        """The index in u at which each of the m variables begins, and the end of the last one."""
         count = len(self.others)
         return [0, *(count + k * len(self.solved) for k in range(self.m))]
 

@@ -69,7 +69,7 @@ def forward_sensitivity(
     solver: AbstractStructuredRosenbrock,
     observers: Sequence[AbstractObserver] = (),
 ) -> Sensitivity:
-    """The state after a time, with its derivatives in the m numbers of `point`.
+    """The state after a time, with its derivatives in the m variables of `point`.
 
     The derivatives are those of the steps with fixed sizes; that in the time is the rate at the
     end.  Call it under `jit`.
@@ -203,7 +203,7 @@ class Returns(AbstractObserver):
 
 
 class Period(NamedTuple):
-    """One integration over a period: its end, its derivatives and its observed numbers.
+    """One integration over a period: its end, its derivatives and its observed values.
 
     - `end`: the state after the period, or after T / k, moved, if the orbit has a shift; `slopes`:
       its derivatives, (2n, m), the first 2n in the state.
@@ -232,7 +232,7 @@ class Period(NamedTuple):
 
 
 class ExtremesAndTrace(AbstractObserver):
-    """The observed numbers of `Period`; value (least x, greatest x, fastest, trace).
+    """The observed values of `Period`; value (least x, greatest x, fastest, trace).
 
     Turning points are located between steps, and the trace is integrated by Gauss's rule of five
     points in every step.  It has no derivatives; they would cost as much as the monodromy matrix.
@@ -264,7 +264,7 @@ class ExtremesAndTrace(AbstractObserver):
 
 
 def _switching(field: AbstractModel, y: State) -> int | None:
-    """The number of a cell that is the velocity at which friction switches; None without one."""
+    """The index of the variable of a cell at whose value friction switches; None without one."""
     return None if field.layer(0.0, y) is None else min(field.contact, len(y) - 1)
 
 

@@ -632,7 +632,7 @@ def log_likelihood(
     **Arguments:** as for `predict`; `phase` of a `Signal` of a limit cycle, None for the one that
     fits best (a profile likelihood).
 
-    **Returns:** a number with derivatives in every number of the chain, forward; NaN where the
+    **Returns:** a number with derivatives in every parameter of the chain, forward; NaN where the
     chain predicts no vibration or fold.  It works under `jit` and `vmap`.
 
     >>> import jax

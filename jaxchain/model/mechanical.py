@@ -137,8 +137,8 @@ class MechanicalCells(AbstractCells):
         = s(q_{n+1} - q_n) - s(q_n - q_{n-1})
         + g(q_n, q_n') + p F(u_n' - v_d) e_u + f cos(omega t),
 
-    where u is the displacement number `sliding` of a cell, which slides on the belt, and e_u its
-    unit vector.  A state is (q_1, ..., q_d, q_1', ..., q_d'), each of shape (n,).
+    where u = `sliding` is the index of the displacement that slides on the belt, and e_u its unit
+    vector.  A state is (q_1, ..., q_d, q_1', ..., q_d'), each of shape (n,).
 
     With dry friction `simulate` and `sweep` find every start and end of sticking (`EventDriven`):
 
@@ -166,14 +166,14 @@ class MechanicalCells(AbstractCells):
       until `with_(friction=0.3)` sets it.
     - `ends`: "cyclic" or "free"; `names` of the displacements.
 
-    `spring` and `local_force` are functions, or `equinox.Module`s whose numbers are fields; they
-    compute all cells side by side.  What JAX traces in the closure of a function, such as a number
-    by which you differentiate, becomes a part of the cells, as a field would.
+    `spring` and `local_force` are functions, or `equinox.Module`s whose parameters are fields;
+    they compute all cells side by side.  What JAX traces in the closure of a function, such as a
+    number by which you differentiate, becomes a part of the cells, as a field would.
 
-    `with_` changes numbers by their names, and entries of arrays by names such as
+    `with_` changes parameters by their names, and entries of arrays by names such as
     "stiffness[0, 1]", counted from 0; off the diagonal of M it sets both entries.  Where the cells
     hold an array over displacements, it refuses one number, which would act on all displacements;
-    `normal_load` and the numbers of the friction law are one for all cells or one for each.
+    `normal_load` and the parameters of the friction law are one for all cells or one for each.
 
     **Raises:** `ValueError` for anything else.
 
@@ -381,7 +381,7 @@ class MechanicalCells(AbstractCells):
         return super().description(n) | ({"plus": plus} if plus else {})
 
     def parameters(self) -> dict[str, Array]:
-        """The arrays among the fields, the numbers of the law, the parameters of `plus`."""
+        """The arrays among the fields, the parameters of the law, the parameters of `plus`."""
         return super().parameters() | {name: a.factor for name, a in (self.plus or {}).items()}
 
     @property

@@ -37,7 +37,7 @@ def _versions() -> dict[str, str]:
 
 
 def parameters_of(field: AbstractModel, n: int, swept: Sequence[str]) -> str:
-    """The numbers of a chain and of its friction as JSON; "swept" for the swept ones.
+    """The parameters of a chain and of its friction as JSON; "swept" for the swept ones.
 
     For other oscillators: their class, their number n and their `parameters`.
     """

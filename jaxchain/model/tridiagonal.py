@@ -1,6 +1,6 @@
 """(Cyclic) block tridiagonal matrices, the Jacobians of cells that see their neighbours, in O(N).
 
-Of the m numbers of a cell its neighbours see q.  These form a system of their own: T b = r with
+Of the m variables of a cell its neighbours see q.  These form a system of their own: T b = r with
 the blocks D, L, R and the matrices P = D^{-1} L, Q = D^{-1} R, which have q columns, is
 
     b_n = D_n^{-1} r_n - P_n s_{n-1} - Q_n s_{n+1},      s = the seen numbers of b.

@@ -46,7 +46,7 @@ class Step(eqx.Module):
 
     `y0` and `y1` are pairs (x, v) of shape (n,), of other cells m arrays; `field` is the `Chain`
     or other model.  `displacement(theta)` and `velocity(theta)` interpolate at theta in
-    [0, 1], one number or one per mass; of cells that is the number `component` and its rate, see
+    [0, 1], one number or one per mass; of cells that is the variable `component` and its rate, see
     `of`, and `state(theta)` is all of them.
 
     Rates of dry friction jump at an event, where a step ends.  So ask the step for them, not
@@ -82,7 +82,7 @@ class Step(eqx.Module):
     rates: Rates | None = None  # of an event-driven step; None: the field gives them
 
     def displacement(self, theta: Any) -> Array:
-        """The number `component` of each cell."""
+        """The variable `component` of each cell."""
         return self.part(theta, self.component)
 
     def velocity(self, theta: Any) -> Array:

@@ -141,7 +141,7 @@ def build_cells(
 
 
 def component_names(experiment: CellsExperiment, cells: AbstractCells) -> tuple[str, ...]:
-    """The names of the m numbers of a cell; if it has none, their numbers 0 ... m - 1."""
+    """The names of the m variables of a cell; if it has none, their numbers 0 ... m - 1."""
     names = cells.components or tuple(map(str, range(len(experiment.initial))))
     if not names:
         raise ValueError(
@@ -231,7 +231,7 @@ def build_observers(
 ) -> list[AbstractObserver]:
     """Amplitudes in the window, the observers of the table, and further custom observers.
 
-    `components`, the names of the numbers of a cell, which a table may refer to.
+    `components`, the names of the variables of a cell, which a table may refer to.
 
     **Raises:** `ValueError` for a custom observer that is missing or cannot be constructed.
     """

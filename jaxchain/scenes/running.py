@@ -365,9 +365,9 @@ def run_experiment(
 def hopf_speed(
     chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]
 ) -> xr.DataArray | None:
-    """The Hopf speed over the swept numbers of the chain other than the belt speed.
+    """The Hopf speed over the swept parameters of the chain other than the belt speed.
 
-    None for cells, if no belt speed is swept, for numbers per mass, whose search needs
+    None for cells, if no belt speed is swept, for parameters per mass, whose search needs
     eigenvalues, and for more combinations than fit into memory.
     """
     known = isinstance(chain, Chain) and has_uniform_damping(chain)
@@ -396,7 +396,7 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
 
     **Returns:** a dataset over `point`, from rest at the Hopf speed through the fold to
     stick-slip, with the attribute `cut_off` if it is not whole; None for anything but one
-    oscillator, with a sweep over at least ten belt speeds and starts and no other number of the
+    oscillator, with a sweep over at least ten belt speeds and starts and no other parameter of the
     chain; or if its cycles do not fold.
     """
     swept = [name for name in grid if name in chain.parameters()]

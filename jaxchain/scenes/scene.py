@@ -99,14 +99,14 @@ class AbstractExperiment(Table):
 
     @abc.abstractmethod
     def given(self, name: str) -> Any:
-        """The value of a number of the model or its friction in the scene."""
+        """The value of a parameter of the model or its friction in the scene."""
 
     @abc.abstractmethod
     def _problems(self) -> Iterator[_Problem]:
         """What is wrong with several keys together."""
 
     def friction_numbers(self) -> tuple[str, ...]:
-        """Names of the numbers of the friction law, width last."""
+        """Names of the parameters of the friction law, width last."""
         table = self.friction
         fields = tuple(name for name in FRICTION if name in type(table).model_fields)
         return (*(table.model_extra or ()), *fields)
@@ -247,7 +247,7 @@ class Experiment(AbstractExperiment):
         return self.chain.friction
 
     def given(self, name: str) -> Any:
-        """The value of a number of the chain or its friction in the scene."""
+        """The value of a parameter of the chain or its friction in the scene."""
         return getattr(self.chain if name in CHAIN else self.chain.friction, name)
 
     def sweepable(self) -> tuple[str, ...]:

@@ -370,7 +370,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
       error is at most rho^(sweeps+1) / (1-rho) of a stage, with rho <= 2 eta_c (h gamma)^2 to
       leading order.  This bound is part of the error estimate of each step.  A step with a bound
       above 1e-3 is rejected, or fails with a constant step. `simulate` chooses `sweeps` from the
-      numbers of the chain.
+      parameters of the chain.
 
     It works with `diffeqsolve`, any controller, `SaveAt`, `vmap`, and forward- or reverse-mode
     differentiation; y0 is the pair (displacement, velocity).  Steps may run backward in time.
@@ -503,7 +503,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
     def _step_of_cells(
         self, field: AbstractCells, t: Array, h: Array, y0: State, rolled: bool
     ) -> tuple[State, State, dict, None, dfx.RESULTS]:
-        """The same with all m numbers of every stage: one block tridiagonal solve each."""
+        """The same with all m variables of every stage: one block tridiagonal solve each."""
         tab, m = self.tableau, len(y0)
         per_h = _inverse(h)
         here = field.linearised(t, y0)

@@ -59,7 +59,7 @@ def check_axes(
             axes[dim] = {name: np.asarray(given[name]) for name in given}
             continue
         values = np.asarray(given)
-        # One number per mass, or a matrix, for each run: drawn at random, as a rule.
+        # One parameter per mass, or a matrix, for each run: drawn at random, as a rule.
         drawn = values.ndim > 1 and model.has_parameter(dim)
         axes.setdefault("realisation" if drawn else dim, {})[dim] = values
     names = [name for columns in axes.values() for name in columns]

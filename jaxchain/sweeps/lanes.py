@@ -108,7 +108,7 @@ class VariedStructure(NamedTuple):
 
 
 class RunNumbers(eqx.Module):
-    """The numbers of a chain that differ between jobs, as data."""
+    """The parameters of a chain that differ between jobs, as data."""
 
     numbers: dict[str, Array]  # by name
     new: list[Array]  # the arrays that `vary` made

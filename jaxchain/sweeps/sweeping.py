@@ -95,7 +95,7 @@ def sweep(
     - `initial`: the pair (x, v) (of cells a tuple of m arrays), or a function (chain, **own) ->
       (x, v) that JAX can trace; its other parameters come from `over`.
     - `t1`, `t0`: dimensionless times.
-    - `over`: an ordered mapping from names to arrays.  A name is a number of the
+    - `over`: an ordered mapping from names to arrays.  A name is a parameter of the
       chain or of its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`,
       `mu_static`, ...), or a parameter of `initial` or `vary` (`excited`, a seed, ...).  To vary
       several of them together, such as measured sets or random starts, map a dimension to a
