@@ -26,7 +26,7 @@ class CompiledRing:
     """The right side and the Jacobian of a ring, or of one mass, compiled by numba.
 
     The masses are folded, 0 N-1 1 N-2 ..., and displacements and velocities interleaved: then
-    neighbours are at most two places apart and the Jacobian is banded, which halves LSODA's time.
+    neighbours are at most two indices apart and the Jacobian is banded, which halves LSODA's time.
     `fold` and `unfold` convert from (x, v) to such a y of shape (2n,) and back. All compiled
     functions take the numbers p = `parameters(chain)`.
     """
@@ -37,9 +37,9 @@ class CompiledRing:
 
         i = np.arange(n)
         self.order = np.where(i % 2 == 0, i // 2, n - 1 - i // 2)
-        place = np.argsort(self.order)
+        position = np.argsort(self.order)
         band_width = self.half_bandwidth = min(HALF_BANDWIDTH, 2 * n - 1)
-        before, after = 2 * place[(self.order - 1) % n], 2 * place[(self.order + 1) % n]
+        before, after = 2 * position[(self.order - 1) % n], 2 * position[(self.order + 1) % n]
 
         # Without signatures: CVODE lends its own arrays as read-only ones, a type apart.
         @njit

@@ -169,22 +169,22 @@ def gpu_row(repeats: int, quick: bool) -> list[dict]:
     except RuntimeError:
         raise Skipped("JAX sees no GPU here; for one: pip install 'jaxchain[cuda]'") from None
     few, many, span = (2, (16,), 5.0) if quick else (64, (4096, 32768, 100_000), 100.0)
-    places = {f"CPU core, {few} lanes": (jax.local_devices(backend="cpu")[0], few)}
-    places |= {f"{gpu.device_kind}, {count} lanes": (gpu, count) for count in many}
+    lanes = {f"CPU core, {few} lanes": (jax.local_devices(backend="cpu")[0], few)}
+    lanes |= {f"{gpu.device_kind}, {count} lanes": (gpu, count) for count in many}
     smoothed, table = paper_chain(N, 1.5, WIDTH), []
     for kind, chain, solver, rtol in (
         (f"smoothed, width {WIDTH:g}", smoothed, Rodas4(sweeps=1), 1e-5),
         ("dry friction", smoothed.with_(width=None), EventDriven(), 1e-6),
     ):
         sides: dict[str, Callable[[], Any]] = {}
-        for name, (device, count) in places.items():
+        for name, (device, count) in lanes.items():
             # On its device, where the program then runs: not on the default one.
             speeds = jax.device_put(jnp.linspace(1.4, 1.6, count), device)
             program = runs(chain, EXCITED, span, solver, observe=Amplitude(window=0.1 * span))
             sides[name] = functools.partial(program, speeds, rtol)
         # The first and the last belt speed are the same everywhere.
         ends = [np.asarray(side()[1])[[0, -1]] for side in sides.values()]
-        times = in_turn(sides, repeats) / [count for _, count in places.values()]
+        times = in_turn(sides, repeats) / [count for _, count in lanes.values()]
         apart = np.max(np.ptp(ends, axis=0))
         case = f"GPU, {kind}, tau {span:g}, a lane; amplitudes differ by {apart:.0e}"
         table += lines(case, times, list(sides)[1])

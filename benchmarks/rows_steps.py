@@ -142,8 +142,8 @@ def import_row(repeats: int, quick: bool) -> list[dict]:
         return time.perf_counter() - start
 
     def measured(measure: Callable[[str], float], *arguments: str) -> pd.DataFrame:
-        turns = [{name: measure(name) for name in arguments} for _ in range(repeats + 1)]
-        return pd.DataFrame(turns[1:])  # the first one may have to compile the package's files
+        rounds = [{name: measure(name) for name in arguments} for _ in range(repeats + 1)]
+        return pd.DataFrame(rounds[1:])  # the first one may have to compile the package's files
 
     imports = measured(inside, "import jaxchain", "from jaxchain import simulate")
     table = lines("beyond jax and diffrax", imports, None, {"import jaxchain": ("<=", 0.05)})

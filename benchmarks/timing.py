@@ -96,8 +96,8 @@ def in_turn(
         if once < 1.0:  # the first call was to warm up; a slow side needs no second one
             once = seconds(side)
         calls[name] = math.ceil(max(1.0, least / max(once, 1e-9)))
-    turns = range(repeats)
-    return pd.DataFrame([{k: seconds(side, calls[k]) for k, side in sides.items()} for _ in turns])
+    each = range(repeats)
+    return pd.DataFrame([{k: seconds(side, calls[k]) for k, side in sides.items()} for _ in each])
 
 
 def cheapest(

@@ -168,8 +168,8 @@ def _plain_loop(goes_on: Any, body: Any, start: Any, **_: Any) -> Any:
     return lax.while_loop(goes_on, body, start)
 
 
-def _set(buffer: Any, place: Any, value: Any, *, pred: Any) -> Any:
-    return buffer.at[place].set(jnp.where(pred, value, buffer[place]))
+def _set(buffer: Any, index: Any, value: Any, *, pred: Any) -> Any:
+    return buffer.at[index].set(jnp.where(pred, value, buffer[index]))
 
 
 while_loop, buffer_at_set = attempt("loops with checkpoints", _loops, (_plain_loop, _set))

@@ -207,7 +207,7 @@ def _add_json(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_numbers(parser: argparse.ArgumentParser, names: Sequence[str]) -> None:
-    """An option for each of these numbers of a chain, and the common options of such commands."""
+    """An option for each of these parameters of a chain, and the options such commands share."""
     for row in map(parameter, names):
         alone = row.per != "spring"
         help_ = f"{row.long_name} ({row.usual}{'' if alone else ' for several masses'})"

@@ -20,11 +20,11 @@ from pathlib import Path
 # processes that tests start, take over what the first process has found.
 if "XLA_FLAGS" not in os.environ and "JAX_PLATFORMS" not in os.environ:
     flags = "--xla_backend_optimization_level=1"
-    asked = subprocess.run(
+    probe = subprocess.run(
         [sys.executable, "-c", "from jaxlib import xla_client; xla_client.make_cpu_client()"],
         env=os.environ | {"XLA_FLAGS": flags}, capture_output=True,
     )  # fmt: skip
-    os.environ["XLA_FLAGS"] = flags if asked.returncode == 0 else ""
+    os.environ["XLA_FLAGS"] = flags if probe.returncode == 0 else ""
 
 import jax
 import matplotlib as mpl

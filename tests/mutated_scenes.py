@@ -135,13 +135,13 @@ def _value(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _places(data: Any, path: tuple = ()) -> Iterator[tuple[Any, Any, tuple]]:
+def _entries(data: Any, path: tuple = ()) -> Iterator[tuple[Any, Any, tuple]]:
     """Every key of every table and every entry of every list: (where, key, its path)."""
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         yield data, key, (*path, key)
         if isinstance(value, dict | list):
-            yield from _places(value, (*path, key))
+            yield from _entries(value, (*path, key))
 
 
 def _wrong(rng: random.Random) -> Any:
@@ -159,12 +159,12 @@ def _misspelt(key: str, rng: random.Random) -> str:
 
 def _change(data: dict[str, Any], rng: random.Random) -> str:
     """One mistake in the tables.  Returns what it is."""
-    places = list(_places(data))
-    if not places:
+    entries = list(_entries(data))
+    if not entries:
         return "nothing"
-    tables = [p for p in places if isinstance(p[0], dict)]
-    where, key, path = rng.choice(tables if rng.random() < 0.7 and tables else places)
-    numbers = [p for p in places if isinstance(p[0][p[1]], int | float)]
+    tables = [p for p in entries if isinstance(p[0], dict)]
+    where, key, path = rng.choice(tables if rng.random() < 0.7 and tables else entries)
+    numbers = [p for p in entries if isinstance(p[0][p[1]], int | float)]
     kind = rng.choices(
         ["replace", "delete", "misspell", "twice", "list", "name", "wrap", "scale", "sweep"],
         [35, 8, 8, 4, 10, 6, 3, 25, 6],
@@ -230,8 +230,8 @@ def _damage(mutant: Mutant, rng: random.Random) -> bytes:
 
 def _assignment(data: dict[str, Any], rng: random.Random) -> str:
     """A text for `--set`, with or without a mistake."""
-    places = list(_places(data)) or [(data, "x", ("x",))]
-    path = ".".join(map(str, rng.choice(places)[2]))
+    entries = list(_entries(data)) or [(data, "x", ("x",))]
+    path = ".".join(map(str, rng.choice(entries)[2]))
     wrong = _value(_wrong(rng))
     if rng.random() < 0.2:
         return rng.choice([

@@ -284,9 +284,9 @@ def test_a_signal_keeps_finished_runs(workplace, made_up_sweep, monkeypatch, cap
 def test_results_that_do_not_fit_are_saved_elsewhere(
     workplace, made_up_sweep, monkeypatch, capsys
 ):
-    place = Path("tmp").absolute()  # from Python 3.12 on the folders in it have whole paths anyway
-    place.mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    path = Path("tmp").absolute()  # from Python 3.12 on the folders in it have whole paths anyway
+    path.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(path))
 
     def full(self, name):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -301,7 +301,7 @@ def test_results_that_do_not_fit_are_saved_elsewhere(
     first, second, *_ = capsys.readouterr().err.splitlines()
     message = "cannot write `first` into results/two: No space left on device."
     assert first.startswith(f"jaxchain: {message} What was saved")
-    (store,) = place.glob("jaxchain-*/two.zarr")
+    (store,) = path.glob("jaxchain-*/two.zarr")
     assert second == f"jaxchain: `first` is saved in {store} instead"
     assert not Path("results/two").exists()
     assert list(stored(store.with_suffix(""))) == ["first"]
@@ -333,7 +333,7 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
 
 def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
     """Replaces the search of `jaxchain boundary`; a list of the chains that were asked for."""
-    asked = []
+    requested = []
     names = ("hopf", "fold", "highest", "width", "hopf_dry", "hopf_dry_error", "fold_dry")
     values = (1.2, fold, fold, 0.0, 1.2, 1e-12, 1.85)
     speeds = {name: jnp.asarray(value) for name, value in zip(names, values, strict=True)}
@@ -342,12 +342,12 @@ def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
 
     def search(chain, *, error_bars):
         assert error_bars
-        asked.append(chain)
+        requested.append(chain)
         mass, result = chain.n // 2, SearchResult.successful
         return ranges.StabilityRange(result=result, mass=mass, **speeds)
 
     monkeypatch.setattr(ranges, "stability_range", search)
-    return asked
+    return requested
 
 
 @pytest.fixture
@@ -437,10 +437,10 @@ def record(share, up, down, result):
 @pytest.fixture
 def basins_found(monkeypatch):
     """Replaces the search of the cycle: with dry friction there is one, smoothed there is none."""
-    asked = []
+    requested = []
 
     def search(chain, box):
-        asked.append((chain, box))
+        requested.append((chain, box))
         if chain.dry:
             return record(0.25, 1.1, 1.2, SearchResult.successful)
         if chain.belt_speed == 0:
@@ -448,7 +448,7 @@ def basins_found(monkeypatch):
         return record(1.0, np.inf, np.inf, SearchResult.successful)
 
     monkeypatch.setattr(single_mass, "sliding_basin", search)
-    return asked
+    return requested
 
 
 def test_basins_prints_one_object(found, basins_found, workplace, capsys):

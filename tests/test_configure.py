@@ -63,21 +63,23 @@ def test_each_part_can_be_left_out():
 
 
 def test_settings_of_the_user_stay(tmp_path):
-    mine = "--xla_cpu_enable_fast_math=false --xla_backend_extra_options=xla_cpu_use_mlir=1"
+    own_flags = "--xla_cpu_enable_fast_math=false --xla_backend_extra_options=xla_cpu_use_mlir=1"
     code = "import jaxchain\njaxchain.configure(cache=True)"
     found = told(
-        code, XLA_FLAGS=mine, JAX_NUM_CPU_DEVICES="3", JAX_COMPILATION_CACHE_DIR="/nowhere"
+        code, XLA_FLAGS=own_flags, JAX_NUM_CPU_DEVICES="3", JAX_COMPILATION_CACHE_DIR="/nowhere"
     )
-    assert found["flags"] == f"{mine},{OPTIONS}{WIDTH}"
+    assert found["flags"] == f"{own_flags},{OPTIONS}{WIDTH}"
     narrow = "--xla_cpu_prefer_vector_width=256"
     assert (
         told(code, XLA_FLAGS=narrow)["flags"] == f"{narrow} --xla_backend_extra_options={OPTIONS}"
     )
     assert found["devices"] == 3
     assert found["cache"] == "/nowhere"
-    mine = f"--xla_force_host_platform_device_count=4 --xla_backend_extra_options={THRESHOLD}=7"
-    found = told(code, XLA_FLAGS=mine, XDG_CACHE_HOME=str(tmp_path))
-    assert found["flags"] == mine
+    own_flags = (
+        f"--xla_force_host_platform_device_count=4 --xla_backend_extra_options={THRESHOLD}=7"
+    )
+    found = told(code, XLA_FLAGS=own_flags, XDG_CACHE_HOME=str(tmp_path))
+    assert found["flags"] == own_flags
     assert found["devices"] == 4
     assert Path(found["cache"]).parent == tmp_path / "jaxchain"
     # By an earlier call.

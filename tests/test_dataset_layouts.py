@@ -28,7 +28,7 @@ from jaxchain.observers import (
     StickTime,
 )
 from jaxchain.result import NAMES, SEARCH_NAMES, SearchResult, advice_of, message
-from jaxchain.scenes.running import circumstances, cycles, hopf_speed
+from jaxchain.scenes.running import cycles, hopf_speed, origin_attributes
 from jaxchain.sweeps.ensemble import RunSettings, prepare
 
 SWEPT = ("belt_speed", "excited")
@@ -100,7 +100,7 @@ def test_attributes_of_a_sweep():
 
 
 def test_attributes_of_a_folder_and_of_branches():
-    assert set(circumstances()) <= attributes("Folders of results")
+    assert set(origin_attributes()) <= attributes("Folders of results")
     assert set(cycle_branch().to_dataset().attrs) <= attributes("Branches", "Of cycles")
 
 

@@ -52,9 +52,9 @@ def run(chain, start=None, **how):
 def motion(chain):
     """Amplitudes of a film that closes, and how much of it its mass sticks."""
     times, (x, v) = loop(chain, jc.find_limit_cycle(chain).state, frames=64)
-    held = sticking(chain, (x, v))
+    sticks = sticking(chain, (x, v))
     # One frame of 64 more or less.
-    return np.ptp(x), times[-1], np.round(held.mean(), 1)
+    return np.ptp(x), times[-1], np.round(sticks.mean(), 1)
 
 
 def small_verdict(chain):

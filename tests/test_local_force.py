@@ -316,13 +316,13 @@ def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
 
 
 @pytest.mark.parametrize(
-    ("asked", "message"),
+    ("settings", "message"),
     [
         ({"accuracy": 1e-2}, "`accuracy` picks the width.* VanDerPol has none: leave it"),
         ({"observe": EnergyBalance()}, "`EnergyBalance` needs dampers and a belt, a `Chain`"),
         ({"observe": StickTime()}, "`StickTime` needs masses that can stick"),
     ],
 )
-def test_functions_that_need_a_belt_raise_an_error(asked, message):
+def test_functions_that_need_a_belt_raise_an_error(settings, message):
     with pytest.raises(ValueError, match=message):
-        simulate(ONE, START, 1.0, **asked)
+        simulate(ONE, START, 1.0, **settings)

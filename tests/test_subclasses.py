@@ -166,9 +166,9 @@ def test_forces_are_honoured_in_runs():
 
     start = jnp.array([0.5]), jnp.zeros(1)
     strength = jnp.asarray(0.3)
-    mine = jc.simulate(Other(strength, None), start, 5.0, rtol=1e-9).state
+    own = jc.simulate(Other(strength, None), start, 5.0, rtol=1e-9).state
     y = jc.simulate(Plain(strength), start, 5.0, rtol=1e-9).state
-    np.testing.assert_allclose(mine, y, rtol=1e-6)
+    np.testing.assert_allclose(own, y, rtol=1e-6)
 
 
 class Plain(AbstractOscillators):
@@ -191,14 +191,14 @@ def test_forces_are_honoured_in_cycles_and_branches():
             return Rayleigh.local_force(self, t, x, v)
 
     state = jnp.array([0.0]), jnp.array([2.0])
-    mine, plain = (
+    own, plain = (
         jc.continue_cycle(
             jc.find_limit_cycle(kind(jnp.asarray(0.3), None), state, period=6.3, mass=0),
             parameter="strength", direction=1, bounds=(0.2, 0.5),
         )
         for kind in (Other, Rayleigh)
     )  # fmt: skip
-    np.testing.assert_allclose(mine.amplitude, plain.amplitude, atol=1e-8)
+    np.testing.assert_allclose(own.amplitude, plain.amplitude, atol=1e-8)
 
 
 def test_functions_for_a_belt_refuse_other_forces():

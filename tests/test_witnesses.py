@@ -75,8 +75,10 @@ def test_on_a_resting_belt_a_mode_loses_the_same_every_half_turn_and_stops(case,
     np.testing.assert_allclose(run.sampled_v, np.outer(v, shape), rtol=0, atol=2e-12)
     np.testing.assert_allclose(run.x, -0.2 * loss * shape, rtol=0, atol=2e-12)
     assert (run.v == 0).all()
-    turns = np.array([[e.time for e in run.events if e.mass == i] for i in range(n)])
-    np.testing.assert_allclose(turns, np.outer(np.ones(n), half * np.arange(1, 4)), atol=1e-11)
+    turn_times = np.array([[e.time for e in run.events if e.mass == i] for i in range(n)])
+    np.testing.assert_allclose(
+        turn_times, np.outer(np.ones(n), half * np.arange(1, 4)), atol=1e-11
+    )
     assert [e.kind for e in run.events[-n:]] == ["stick"] * n
 
 
@@ -84,10 +86,10 @@ def test_on_a_resting_belt_a_mode_loses_the_same_every_half_turn_and_stops(case,
 def test_a_mass_that_stops_slips_back_if_its_spring_is_just_stronger_than_friction(short):
     # Without damping it turns at start - 1 on the other side, and friction holds it below 0.5.
     chain = coulomb(0.5, 0.5, belt_speed=0.0, damping_ratio=0.0)
-    for x, turns in ((1.5 - short, [1.0]), (1.5 + short, [1.0, 2.0])):
+    for x, turn_times in ((1.5 - short, [1.0]), (1.5 + short, [1.0, 2.0])):
         run = event_driven.integrate(chain, np.array([x]), np.array([0.0]), 10.0)
-        assert [e.kind for e in run.events] == ["forward", "stick"][-len(turns) :]
-        np.testing.assert_allclose([e.time / np.pi for e in run.events], turns, atol=1e-3)
+        assert [e.kind for e in run.events] == ["forward", "stick"][-len(turn_times) :]
+        np.testing.assert_allclose([e.time / np.pi for e in run.events], turn_times, atol=1e-3)
         assert abs(run.x[0]) == pytest.approx(0.5 - short, abs=1e-12)
 
 

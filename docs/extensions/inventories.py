@@ -2,7 +2,7 @@
 
 Sphinx would fetch each package's list from its site; these are kept here, so that a build needs no
 network, and hold what pages refer to.  A file is a line `# package: address` and lines `kind name
-place`; `$` in a place is the name.
+url`; `$` in a url is the name.
 """
 
 import zlib
@@ -20,7 +20,7 @@ def compiled(text: str) -> tuple[str, bytes]:
         f"# Project: {package}\n# Version: \n"
         "# The remainder of this file is compressed using zlib.\n"
     )
-    rows = (f"{name} {kind} 1 {place} -\n" for kind, name, place in map(str.split, lines))
+    rows = (f"{name} {kind} 1 {url} -\n" for kind, name, url in map(str.split, lines))
     return address, head.encode() + zlib.compress("".join(rows).encode())
 
 

@@ -125,16 +125,16 @@ def draw_plane(axes, vibrates, orbits):
 
 def draw_ring(axes, shares, dim, label):
     """Stacked bars, k vibrating masses upon k - 1, with what still changes."""
-    n, places = shares.sizes["oscillator"], np.arange(shares.sizes[dim])
+    n, positions = shares.sizes["oscillator"], np.arange(shares.sizes[dim])
     counts = shares.share_at_end.groupby("vibrating").sum().transpose("vibrating", dim)
-    colours, base = plt.get_cmap("viridis", n + 1), np.zeros(places.size)
+    colours, base = plt.get_cmap("viridis", n + 1), np.zeros(positions.size)
     for count, share in zip(counts.vibrating.values, counts.values):
-        axes.bar(places, share, 0.86, base, color=colours(int(count)), lw=0)
+        axes.bar(positions, share, 0.86, base, color=colours(int(count)), lw=0)
         base += share
     look, later = {"mec": "black", "ms": 3.6}, r"another state at $4 \tau$"
-    axes.plot(places, shares.undecided, "o", color="white", **look, label="still changing")
-    axes.plot(places, shares.changed_later, "v", color=common.ORANGE, **look, label=later)
-    axes.set_xticks(places, [f"{value:.3g}" for value in shares[dim].values], rotation=60)
+    axes.plot(positions, shares.undecided, "o", color="white", **look, label="still changing")
+    axes.plot(positions, shares.changed_later, "v", color=common.ORANGE, **look, label=later)
+    axes.set_xticks(positions, [f"{value:.3g}" for value in shares[dim].values], rotation=60)
     axes.set(xlabel=label, ylabel=rf"share of starts at $\tau = {shares.t1:g}$", ylim=(0, 1))
     axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, frameon=False)
     shade = ScalarMappable(BoundaryNorm(np.arange(-0.5, n + 1), n + 1), colours)

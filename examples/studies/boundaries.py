@@ -157,8 +157,10 @@ def main():
     for axes, name in zip(panels.flat, LABELS):
         draw_curve(axes, name, rows[name], meetings.get(name))
     words = {(0.22, 0.62): "vibration\nstarts\nby itself", (0.76, 0.2): "comes\nto slide"}
-    for place, text in (words | {(0.65, 0.84): "depends\non the\nstart"}).items():
-        panels[0, 1].text(*place, text, transform=panels[0, 1].transAxes, ha="center", va="center")
+    for position, text in (words | {(0.65, 0.84): "depends\non the\nstart"}).items():
+        panels[0, 1].text(
+            *position, text, transform=panels[0, 1].transAxes, ha="center", va="center"
+        )
     whole, zoom = panels[1, 1:]
     draw_cycles(whole, cycles)
     draw_cycles(zoom, cycles)

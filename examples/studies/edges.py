@@ -163,8 +163,8 @@ def draw_ring(panels, edges, record, table):
     for (k, rows), colour, marker in zip(table.groupby("k"), common.COLOURS, MARKERS):
         bars = rows["mean"] - rows.least, rows.greatest - rows["mean"]
         look = {"color": colour, "marker": marker, "label": f"{k} to {k + 1}"}
-        places = rows["belt speed"] + step * (k - table.k.mean())
-        panels[0].errorbar(places, rows["mean"], bars, ls="", ms=3, elinewidth=0.9, **look)
+        positions = rows["belt speed"] + step * (k - table.k.mean())
+        panels[0].errorbar(positions, rows["mean"], bars, ls="", ms=3, elinewidth=0.9, **look)
         i = rows.index[rows["belt speed"] == speed][0]
         panels[1].plot(edges.times[i], record[i], color=colour, lw=0.9)
         panels[2].semilogy(oscillators, edges.amplitude[i], ms=2.5, lw=0.8, **look)

@@ -76,13 +76,13 @@ class Mass:
         """The end with true dry friction: slip to the next w = 0, stick in closed form."""
         x, v, t = self.x, self.v, 0.0
         while t < self.end:
-            held = self.k * x + 2 * self.xi * v  # what friction has to hold
+            static_force = self.k * x + 2 * self.xi * v  # what friction has to hold
             w = v - self.v_d
-            side = math.copysign(1.0, w if w else -held)
-            if w == 0 and abs(held) <= self.mu_static:
+            side = math.copysign(1.0, w if w else -static_force)
+            if w == 0 and abs(static_force) <= self.mu_static:
                 rate, stick = self.k * self.v_d, self.end - t
                 if rate:
-                    stick = min(stick, (math.copysign(self.mu_static, rate) - held) / rate)
+                    stick = min(stick, (math.copysign(self.mu_static, rate) - static_force) / rate)
                 x, t, side = x + self.v_d * stick, t + stick, -math.copysign(1.0, self.v_d)
             if t < self.end:
 

@@ -103,11 +103,11 @@ def draw_speeds(axes, data):
     every = data.verdict.stack(run=["in_phase", "seed"]).values
     agreed = np.where((every == every[:, :1]).all(1), every[:, 0], 2)
     for value, colour in zip((1, 0, -1), (common.BLUE, common.GREY, common.ORANGE)):
-        if (places := np.flatnonzero(agreed == value)).size:
-            ends = edges[places[[0, -1]] + [0, 1]]
+        if (indices := np.flatnonzero(agreed == value)).size:
+            ends = edges[indices[[0, -1]] + [0, 1]]
             axes.axvspan(*ends, color=colour, alpha=0.12, lw=0)
-            place = {"transform": axes.get_xaxis_transform(), "ha": "center"}
-            axes.text(ends.mean(), 0.92, WORDS[value + 1], **place)
+            look = {"transform": axes.get_xaxis_transform(), "ha": "center"}
+            axes.text(ends.mean(), 0.92, WORDS[value + 1], **look)
     curve = np.linspace(speeds[0], float(jc.hopf_belt_speed(ALONE())), CURVE)
     line = 1e3 * spreading(curve, COUPLING)
     axes.plot(curve, line, "--", color=common.RED, label="linear spreading")
@@ -123,14 +123,14 @@ def draw_speeds(axes, data):
 
 def draw_convergence(axes, data):
     """Speeds on other rings and with other widths, over those of the first case."""
-    places = np.arange(data.case.size)
+    positions = np.arange(data.case.size)
     for i, marker in enumerate("osD"):
         own = data.isel(belt_speed=i) / np.abs(data["mean"].isel(belt_speed=i, case=0))
         look = {"fmt": marker, "ms": 3.6, "lw": 0.8, "color": common.COLOURS[i]}
         look["label"] = rf"$\tilde v_d = {own.belt_speed:g}$"
-        axes.errorbar(places + 0.12 * i, np.abs(own["mean"]), own.bar, **look)
+        axes.errorbar(positions + 0.12 * i, np.abs(own["mean"]), own.bar, **look)
     axes.axhline(1.0, color=common.GREY, lw=0.7)
-    axes.set_xticks(places, [name.replace(", ", "\n") for name in data.case.values], size=6.5)
+    axes.set_xticks(positions, [name.replace(", ", "\n") for name in data.case.values], size=6.5)
     axes.set(xlabel=r"masses, and dry friction or width $\varepsilon$")
     axes.set(ylabel="front speed / that of the first")
     axes.legend(loc="upper left")

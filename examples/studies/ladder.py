@@ -122,16 +122,16 @@ def draw(branches, dry, runs, names):
         look = {"color": VERMILION, "s": 2.0, "zorder": 4, "linewidths": 0}
         zoom.scatter(data.belt_speed[there], found.energy[there], **look)
     couplings = sorted({*names.coupling})
-    places = {key: i for i, key in enumerate(sorted({*zip(names.k, names.pattern)}))}
+    heights = {key: i for i, key in enumerate(sorted({*zip(names.k, names.pattern)}))}
     for (name, pattern), rows in names.groupby(["name", "pattern"]):
-        height = [places[key] for key in zip(rows.k, rows.pattern)]
+        height = [heights[key] for key in zip(rows.k, rows.pattern)]
         kinds.scatter(
             rows.coupling, height, marker=MARKERS[name], s=24, color=COLOURS.get(pattern, "black")
         )
     kinds.set(xscale="log", xlabel=COUPLING, xlim=(0.8 * couplings[0], 1.25 * couplings[-1]))
     kinds.set_xticks(couplings, [f"{c:g}" for c in couplings])
     kinds.minorticks_off()
-    kinds.set_yticks(range(len(places)), [f"{k} {pattern}" for k, pattern in places], fontsize=6)
+    kinds.set_yticks(range(len(heights)), [f"{k} {pattern}" for k, pattern in heights], fontsize=6)
     letters([*panels.values()])
     handles = dict(zip(*zoom.get_legend_handles_labels()[::-1]))
     handles |= {name: plt.Line2D([], [], color=colour) for name, colour in COLOURS.items()}

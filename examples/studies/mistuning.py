@@ -229,7 +229,7 @@ def draw_locking(axes, locked, rows):
 
 def draw_states(axes, datasets, speeds):
     """Seed 0 at several disorders: size for amplitude, colour for stiffness."""
-    places, look = np.arange(1, N + 1), {"cmap": "PuOr", "vmin": -1.8, "vmax": 1.8, "lw": 0.35}
+    sites, look = np.arange(1, N + 1), {"cmap": "PuOr", "vmin": -1.8, "vmax": 1.8, "lw": 0.35}
     height, ticks = 0.0, {}
     for name, speed in speeds.items():
         data = datasets[name].isel(coupling=0).sel(belt_speed=speed)
@@ -239,7 +239,7 @@ def draw_states(axes, datasets, speeds):
             size = np.nan_to_num(data.amplitude[j, 0] / data.amplitude.max()).clip(0.04)
             colour = stiffnesses(1)[0] * float(data.disorder[j] > 0)
             heights, ticks[height] = np.full(N, height), f"{100 * float(data.disorder[j]):g}"
-            image = axes.scatter(places, heights, 36 * size**2, colour, ec="black", **look)
+            image = axes.scatter(sites, heights, 36 * size**2, colour, ec="black", **look)
         height -= 1.8
     axes.set(ylim=(height + 1, 1), xlabel="oscillator $n$", xticks=[1, N // 2, N])
     axes.set_yticks([*ticks], [*ticks.values()])

@@ -129,16 +129,16 @@ class DecayOrVibrate(AbstractObserver):
         switching = field.switching(step.t1, v)
         assert switching is not None  # a field with a belt has `switching`
         speed: Any = field.stick_speed()
-        held = jnp.abs(switching[0]) <= speed
-        held = held & (field.excess_force(step.t1, left, step.y1, right) <= 0)
+        sticks = jnp.abs(switching[0]) <= speed
+        sticks = sticks & (field.excess_force(step.t1, left, step.y1, right) <= 0)
         period = 2.0 * jnp.pi / jnp.sqrt(field.stiffness_diagonal(x.shape[0]))
-        anew = held & (step.t1 - now.last > _APART * period)
+        anew = sticks & (step.t1 - now.last > _APART * period)
         since = jnp.where(anew, step.t1, now.since)
         periods = _STICKS if field.dry else _SMOOTHED_STICKS
         enough = jnp.maximum(periods * period, self.patience)
-        vibrates = held & (step.t1 - since > enough)
+        vibrates = sticks & (step.t1 - since > enough)
         died = now.died | self._dead(field, step.y1)
-        return _Watched(jnp.where(held, step.t1, now.last), since, died, now.vibrates | vibrates)
+        return _Watched(jnp.where(sticks, step.t1, now.last), since, died, now.vibrates | vibrates)
 
     def settled(self, accumulator: _Watched) -> Bool[Array, ""]:
         return accumulator.died | jnp.any(accumulator.vibrates)
@@ -160,13 +160,13 @@ class Trials(eqx.Module):
     @classmethod
     def of(cls, chain: Chain) -> Trials:
         """Trials of a chain; the decay rate of disturbances determines the length of the runs."""
-        frozen = lax.stop_gradient(chain)
-        rate = -growth_rate(frozen, frozen.belt_speed)
+        fixed = lax.stop_gradient(chain)
+        rate = -growth_rate(fixed, fixed.belt_speed)
         # NaN counts as no decay.
         time = jnp.where(rate > 0, _DECAYS / jnp.where(rate > 0, rate, 1.0), _LEAST)
         horizon = jnp.clip(time + _LEAST, _LEAST, _LONGEST)
         return cls(
-            frozen, steady_sliding(frozen)[0], quiet_radius(frozen), rate, horizon, jnp.zeros(())
+            fixed, steady_sliding(fixed)[0], quiet_radius(fixed), rate, horizon, jnp.zeros(())
         )
 
     def with_longer_runs(self, level: Int[Array, ""]) -> Trials:
@@ -236,8 +236,8 @@ _ONCE = "The size of a blow has first derivatives only: the change of its normal
 def hardest(chain: Chain) -> Float[Array, ""]:
     """The size of the hardest kick that is tried, in each of sqrt(n) directions."""
     stiffness = jnp.min(chain.stiffness_diagonal(chain.n))
-    held = jnp.max(chain.static_limit()) / jnp.sqrt(stiffness)
-    return _HARDEST * jnp.sqrt(chain.n) * (jnp.abs(chain.belt_speed) + held)
+    release_speed = jnp.max(chain.static_limit()) / jnp.sqrt(stiffness)
+    return _HARDEST * jnp.sqrt(chain.n) * (jnp.abs(chain.belt_speed) + release_speed)
 
 
 def as_direction(n: int, direction: Any) -> Float[Array, "1 n"]:
@@ -355,7 +355,7 @@ def normal(
 def with_derivative(
     chain: Chain, size: Float[Array, ""], direction: Float[Array, " n"], time: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """The size as a function of the numbers of the chain, with a fixed direction.
+    """The size as a function of the parameters of the chain, with a fixed direction.
 
     At the gentlest blow a change of the direction has no first-order effect.
     """
@@ -545,8 +545,8 @@ _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 class Blow(Outcome):
     """The gentlest blow that `gentlest_blow` found.
 
-    - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the numbers of
-      the chain; 0 if steady sliding is unstable, inf if no kick leads to vibration, NaN if the
+    - `size`: |Delta v|, dimensionless (its energy is size^2 / 2), differentiable in the parameters
+      of the chain; 0 if steady sliding is unstable, inf if no kick leads to vibration, NaN if the
       search or its check failed.
     - `kick`: Delta v, shape (n,), without derivatives; `mass`, the index of the mass with the
       hardest kick, and `share`, its share of the energy.
@@ -615,7 +615,7 @@ def gentlest_blow(
     `blow_of_one_mass` (without `direction`), with an error of some 1e-10; otherwise the error is
     1e-7.  In a ring of equal masses all rotations of a blow are equivalent: the one with the
     hardest kick on mass n // 2 is returned.  It works under `jit` and `vmap`; `size` has first
-    derivatives in all numbers of the chain by the implicit function theorem, with a fixed
+    derivatives in all parameters of the chain by the implicit function theorem, with a fixed
     direction, whose change has no first-order effect at a minimum.  Runs on both sides prove that
     it is a threshold; `starts` and `tries` make it likely, but do not prove, that it is the global
     minimum.  The search is one for a minimal seed: R. R. Kerswell, Nonlinear nonmodal stability

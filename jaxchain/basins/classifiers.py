@@ -177,7 +177,7 @@ class VibratingMasses(AbstractClassifier):
     - `window`: at least a period, 2 pi; `tolerance`; `agree`; `calm`, infinite to end no run
       early.
     - `above`: the amplitude above which a mass or cell vibrates; None for |v_d|/2 of a `Chain`,
-      which other models do not have.  `component`: the number of a cell that is observed.
+      which other models do not have.  `component`: the variable of a cell that is observed.
 
     **Value:** `Settled`.
 
@@ -244,8 +244,8 @@ class VibratingMasses(AbstractClassifier):
     def update(self, accumulator: _Looking, step: Step) -> _Looking:
         now, step = accumulator, step.of(self.component)
         end = step.y1[self.component]
-        turns, theta = step.turning_points()
-        extreme = jnp.where(turns, step.displacement(theta), end)
+        has_extreme, theta = step.turning_points()
+        extreme = jnp.where(has_extreme, step.displacement(theta), end)
         low = jnp.minimum(now.low, jnp.minimum(extreme, end))
         high = jnp.maximum(now.high, jnp.maximum(extreme, end))
         now = eqx.tree_at(lambda a: (a.low, a.high), now, (low, high))
@@ -338,8 +338,8 @@ class VibratingMasses(AbstractClassifier):
             return np.stack(counts, axis=1)
         if self.by == "ring":
             _check_alike(model)
-            different, places = np.unique(codes, axis=0, return_inverse=True)
-            return np.array([_canonical(code, model) for code in different])[places.ravel()]
+            different, inverse = np.unique(codes, axis=0, return_inverse=True)
+            return np.array([_canonical(code, model) for code in different])[inverse.ravel()]
         return codes
 
     def name(self, code: Int[np.ndarray, " k"], model: Any) -> str:
@@ -381,6 +381,6 @@ def _canonical(code: np.ndarray, model: Any) -> np.ndarray:
     vibrates, phase = np.minimum(code, 1), code // 2
     # The phase of a pair is stored at its second mass, which is the first one after reflection.
     mirrored = vibrates[::-1] + 2 * np.roll(phase[::-1], 1)
-    turns = range(len(code) if model.ends == "cyclic" else 1)
-    images = [np.roll(image, turn) for image in (code, mirrored) for turn in turns]
+    shifts = range(len(code) if model.ends == "cyclic" else 1)
+    images = [np.roll(image, shift) for image in (code, mirrored) for shift in shifts]
     return max(images, key=tuple)

@@ -132,8 +132,8 @@ def track(model: Any, quiet: State, vibrating: State, how: Tracking) -> EdgeSear
             model, start, how.window, observe=watch, solver=how.solver,
             rtol=how.rtol, adjoint=dfx.ForwardMode(), throw=False,
         )  # fmt: skip
-        amplitude, *held = run.observed
-        sticks = held[0] > 0 if held else jnp.zeros(n, bool)
+        amplitude, *stick_time = run.observed
+        sticks = stick_time[0] > 0 if stick_time else jnp.zeros(n, bool)
         return run.state, amplitude, sticks, ended_well(run.result)
 
     def classified(now: EdgeSearch) -> EdgeSearch:
@@ -226,8 +226,8 @@ def _settle(chain: Chain, now: EdgeSearch, amplitude: Array, how: Tracking) -> E
     change = jnp.maximum(jnp.abs(low - now.last_low), jnp.abs(high - now.last_high))
     little = change <= _SAME * jnp.where(differs, way, speed)[None]  # false for NaN
     little &= (change <= _OF_ITSELF * high) | (high <= _RESTS * speed)
-    asked = differs | ~jnp.any(differs)
-    same = jnp.all(~asked[None] | little)
+    compared = differs | ~jnp.any(differs)
+    same = jnp.all(~compared[None] | little)
     settled = ends & same & jnp.all(vibrates == before)
     new = replace(
         now,
@@ -572,13 +572,13 @@ def _count(time: Any, window: Any) -> int:
 
 @eqx.filter_jit
 def _edge(model: AbstractModel, quiet: State, vibrating: State, how: Tracking) -> EdgeState:
-    frozen, quiet, vibrating = nondifferentiable(
+    fixed, quiet, vibrating = nondifferentiable(
         (model, quiet, vibrating),
         msg="`edge_state` has no derivatives: find the edge state outside the differentiated "
         "function, and inside it the cycle, `find_limit_cycle(chain, (edge.state, "
         "edge.period))`, which has them.",
     )
-    bracket = track(frozen, quiet, vibrating, how)
+    bracket = track(fixed, quiet, vibrating, how)
     below, above = (tuple(part[side] for part in bracket.ends) for side in (0, 1))
     state = tuple(0.5 * (low + high) for low, high in zip(below, above, strict=True))
     if how.classify is None:
@@ -588,7 +588,7 @@ def _edge(model: AbstractModel, quiet: State, vibrating: State, how: Tracking) -
     else:
         apart = [(a - b) ** 2 for a, b in zip(vibrating, quiet, strict=True)]
         mass = jnp.argmax(sum(apart))
-    amplitude, period, missing, well = _last(frozen, state, mass, how)
+    amplitude, period, missing, well = _last(fixed, state, mass, how)
     result = SearchResult.where(
         (bracket.result == SearchResult.successful) & ~well, SearchResult.nonfinite, bracket.result
     )

@@ -120,7 +120,7 @@ class Tally:
     def number(self, batch: Batch) -> Int[np.ndarray, "p r s"]:
         """The number of the state of each run when it ended; 0 for a failed run."""
         well = ~batch.failed
-        different, places = np.unique(batch.codes[well], axis=0, return_inverse=True)
+        different, inverse = np.unique(batch.codes[well], axis=0, return_inverse=True)
         of_codes = []
         for code in different:
             key = code.tobytes()
@@ -129,7 +129,7 @@ class Tally:
                 self.codes.append(code)
             of_codes.append(self._numbers[key])
         numbers = np.zeros(well.shape, int)
-        numbers[well] = np.array(of_codes, int)[places.ravel()]
+        numbers[well] = np.array(of_codes, int)[inverse.ravel()]
         return numbers
 
     def add(self, batch: Batch) -> None:
@@ -208,10 +208,10 @@ class Runs:
         self.coords: dict[str, Any] = {}
         self.attrs: dict[str, Any] = {}
 
-    def at(self, places: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
-        """The parameters at these places."""
+    def at(self, indices: Int[np.ndarray, " runs"]) -> dict[str, np.ndarray]:
+        """The parameters at these indices."""
         columns = jobs(self.axes) if self.axes else {}
-        return {name: values[places] for name, values in columns.items()}
+        return {name: values[indices] for name, values in columns.items()}
 
     @property
     def shape(self) -> dict[str, int]:
@@ -231,13 +231,13 @@ class Runs:
         return Batch.read(data, self.classify, self.chain, (-1, *points.shape[:2]))
 
     def again(
-        self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"], times: int
+        self, indices: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"], times: int
     ) -> Batch:
-        """Runs from some points, each at the parameters of one place, for `times` the time."""
-        over = {"start": {**self.at(places), "point": points}}
-        name = f"{len(places)} starts again"
+        """Runs from some points, each at the parameters of one index, for `times` the time."""
+        over = {"start": {**self.at(indices), "point": points}}
+        name = f"{len(indices)} starts again"
         data = self._sweep(over, self.classify.patient(), times * self.t1, name)
-        return Batch.read(data, self.classify, self.chain, (1, 1, len(places)))
+        return Batch.read(data, self.classify, self.chain, (1, 1, len(indices)))
 
     def _sweep(self, over: Mapping[str, Any], classify: Any, t1: Any, name: str) -> Dataset:
         with warnings.catch_warnings():
@@ -254,11 +254,11 @@ class Runs:
             )
 
     def starts(
-        self, places: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
+        self, indices: Int[np.ndarray, " runs"], points: Float[np.ndarray, "runs d"]
     ) -> tuple[np.ndarray, ...]:
         """(x, v), or all m arrays of other cells, of shape (runs, n), from these points at the
-        parameters of these places."""
-        values = {**self.at(places), "point": points}
+        parameters of these indices."""
+        values = {**self.at(indices), "point": points}
         columns = {name: jnp.asarray(column) for name, column in values.items()}
         starts = RunStarts(self.chain, self.initial, n=self.n)
         made = starter(jax.local_devices()[0], starts, columns)(columns)
@@ -266,13 +266,13 @@ class Runs:
 
 
 def verdicts_of(
-    runs: Runs, places: Int[np.ndarray, " runs"], state: tuple[np.ndarray, ...], progress: bool
+    runs: Runs, indices: Int[np.ndarray, " runs"], state: tuple[np.ndarray, ...], progress: bool
 ) -> list[str]:
-    """The verdicts on the motions from these starts, each at the parameters of its place."""
-    words = [""] * len(places)
-    for place in np.unique(places):
-        here = np.nonzero(places == place)[0]
-        values = runs.at(np.array([place]))
+    """The verdicts on the motions from these starts, each at the parameters of its index."""
+    words = [""] * len(indices)
+    for index in np.unique(indices):
+        here = np.nonzero(indices == index)[0]
+        values = runs.at(np.array([index]))
         chain = with_numbers(runs.chain, {name: value[0] for name, value in values.items()})
         settings: dict[str, Any] = {"solver": runs.numerics.get("solver"), "progress": progress}
         judged = verdicts(chain, tuple(jnp.asarray(part[here]) for part in state), **settings)
@@ -305,9 +305,9 @@ def check_again(
     state, and at least one per state if possible.
     """
     state = tally.state.reshape(tally.state.shape[0], -1)
-    picks: list[tuple[int, int, int, float]] = []  # place, state, start, the share it stands for
+    picks: list[tuple[int, int, int, float]] = []  # index, state, start, the share it stands for
     rng = np.random.default_rng([seed, 1])
-    for place, reached in enumerate(state if runs.classify.patient() is not None else ()):
+    for index, reached in enumerate(state if runs.classify.patient() is not None else ()):
         present, counts = np.unique(reached[reached < tally.states], return_counts=True)
         left = 2 * most
         for k in np.argsort(-counts) if most else ():
@@ -316,19 +316,19 @@ def check_again(
             left -= count
             chosen = rng.choice(np.nonzero(reached == present[k])[0], count, replace=False)
             share = float(counts[k] / reached.size / max(count, 1))
-            picks += [(place, int(present[k]), int(start), share) for start in chosen]
+            picks += [(index, int(present[k]), int(start), share) for start in chosen]
     if not picks:
         return not_checked(tally)
-    places, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
+    indices, before, starts, shares = (np.array(column) for column in zip(*picks, strict=True))
     after, later = (
         np.where(batch.failed, before, tally.number(batch)).ravel()
-        for batch in (runs.again(places, points[starts], times) for times in (1, LATER))
+        for batch in (runs.again(indices, points[starts], times) for times in (1, LATER))
     )
     lost, gained, leaving = (np.zeros((len(state), tally.states + 2)) for _ in range(3))
     wrong, gone = after != before, later != after
-    np.add.at(lost, (places[wrong], before[wrong]), shares[wrong])
-    np.add.at(gained, (places[wrong], after[wrong]), shares[wrong])
-    np.add.at(leaving, (places[gone], after[gone]), shares[gone])
+    np.add.at(lost, (indices[wrong], before[wrong]), shares[wrong])
+    np.add.at(gained, (indices[wrong], after[wrong]), shares[wrong])
+    np.add.at(leaving, (indices[gone], after[gone]), shares[gone])
     return Checked(lost, gained, leaving, len(picks))
 
 
@@ -358,11 +358,11 @@ def to_dataset(
     order += [known_states, known_states + 1][: 1 + failed]
     names = [classify.name(code, chain) for code in tally.codes] + [UNDECIDED, FAILED]
     first, settling = _of_states(state, tally.since, known_states + 2)
-    places, states = np.nonzero(first >= 0)
-    started = runs.starts(places, points[first[places, states]])
+    indices, states = np.nonzero(first >= 0)
+    started = runs.starts(indices, points[first[indices, states]])
     starts = [np.full((*first.shape, runs.n), np.nan) for _ in started]
     for part, values in zip(starts, started, strict=True):
-        part[places, states] = values
+        part[indices, states] = values
     dims, shape = tuple(runs.shape), tuple(runs.shape.values())
 
     def over(values: np.ndarray, *more: str, states: bool = True) -> tuple:
@@ -394,7 +394,7 @@ def to_dataset(
     if judge:
         words = np.full(first.shape, "", dtype="<U32")
         progress = runs.numerics["progress"]
-        words[places, states] = verdicts_of(runs, places, started, progress)
+        words[indices, states] = verdicts_of(runs, indices, started, progress)
         attrs = {"long_name": "verdict on the motion from that start", "units": "1"}
         variables["verdict"] = (*over(words, "state"), attrs)
     alone = {
@@ -422,12 +422,12 @@ def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.nd
     first, median = np.full((len(state), states), -1), np.full((len(state), states), np.nan)
     # Within a batch the replicates follow each other, like their points.
     rows = zip(state.reshape(len(state), -1), since.reshape(len(since), -1), strict=True)
-    for place, (state_row, times) in enumerate(rows):
+    for index, (state_row, times) in enumerate(rows):
         order = np.argsort(state_row, kind="stable")
         kinds, begins = np.unique(state_row[order], return_index=True)
-        first[place, kinds] = order[begins]
+        first[index, kinds] = order[begins]
         for k, part in zip(kinds, np.split(times[order], begins[1:]), strict=True):
-            median[place, k] = np.median(part) if k < states - 2 else np.nan
+            median[index, k] = np.median(part) if k < states - 2 else np.nan
     return first, median
 
 
@@ -467,7 +467,7 @@ def basin_shares(
     - `model`: a `Chain`, best with dry friction (`width=None`): a width changes the shares.  Or
       `AbstractOscillators` or `AbstractCells`, with `classify`; forced ones start at t = 0.
     - `region`: a `Box`, `Ball` or `Gaussian` of a `Chain`; a `Ranges` or `Sampler` of any model.
-    - `over`: as for `sweep`, numbers of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
+    - `over`: as for `sweep`, parameters of the chain such as `{"belt_speed": [1.2, 1.5]}`; all use
       the same starts.
     - `half_width`: starts are added until every 95 % bar is at most this half-width, or until
       there are `most` starts at every parameter.

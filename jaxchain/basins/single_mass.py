@@ -127,18 +127,18 @@ def area_of_step(
     3.141592654
     """
     x, v = hermite(start, end, h)
-    # The place of a cut at a turn of the curve has no effect, so it has no derivatives.
+    # The position of a cut at a turn of the curve has no effect, so it has no derivatives.
     turning = lax.stop_gradient(jnp.stack([v, jnp.append(_derivative(v), 0.0)]))
-    turns, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
-    ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(turns), jnp.ones(1)]))
+    extremes, _ = crossing(turning, jnp.zeros(()), jnp.ones(()))
+    ends = jnp.sort(jnp.concatenate([jnp.zeros(1), lax.stop_gradient(extremes), jnp.ones(1)]))
     # The four lines, on each of the three parts.
     lines = jnp.zeros((4, 6))
     lines = lines.at[:2].set(x).at[2:, :5].set(v)
     lines = lines.at[:, 0].add(-jnp.concatenate([displacement, velocity]))
     cuts, crosses = crossing(jnp.broadcast_to(lines, (3, 4, 6)), ends[:-1, None], ends[1:, None])
     cuts = jnp.where(crosses, cuts, ends[1:, None])
-    places = jnp.sort(jnp.concatenate([ends, cuts.ravel()]))
-    low, length = places[:-1], jnp.diff(places)
+    edges = jnp.sort(jnp.concatenate([ends, cuts.ravel()]))
+    low, length = edges[:-1], jnp.diff(edges)
     nodes, weights = gauss(_NODES)
     s = low[:, None] + length[:, None] * nodes[None]
     speed = _value(v, s)
@@ -359,7 +359,7 @@ _SHARES = np.concatenate([_INNER, _MIDDLE, _OUTER, [1.0]])
 # In widths below the velocity at which a mass sticks: the layer in which friction is smoothed.
 _LAYER = np.geomspace(40.0, 0.05, 16)
 # Points of each refinement, and their number; a secant does the rest.
-_PLACES, _LOOKS = 16, 8
+_SAMPLES, _LOOKS = 16, 8
 # For a turn that begins and ends where the mass leaves the belt.
 _STUCK = 1e-12
 # In steady sliding, smoothed friction falls as the speed rises; otherwise the mass creeps.
@@ -391,10 +391,10 @@ def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
         tops = jnp.sort(jnp.concatenate([tops, jnp.maximum(layer, tops[0])]))
 
     def gain(tops: Array) -> tuple[Array, Array]:
-        turns = jax.vmap(lambda top: return_map(mass, top))(tops)
-        values = jnp.log(turns.fastest / tops)
+        returns = jax.vmap(lambda top: return_map(mass, top))(tops)
+        values = jnp.log(returns.fastest / tops)
         # A mass that leaves the belt and sticks again has lost nothing.
-        return jnp.where(turns.sticks, jnp.maximum(values, _STUCK), values), turns.ended
+        return jnp.where(returns.sticks, jnp.maximum(values, _STUCK), values), returns.ended
 
     values, ended = gain(tops)
     index = jnp.arange(tops.size)
@@ -408,13 +408,13 @@ def innermost_unstable_cycle(mass: Mass) -> InnermostCycle:
 
     def look(ends: Array) -> tuple[Array, Array]:
         def closer(_: Any, now: tuple[Array, Array]) -> tuple[Array, Array]:
-            places = jnp.linspace(now[0][0], now[0][1], _PLACES)
-            values, _ = gain(places)
+            points = jnp.linspace(now[0][0], now[0][1], _SAMPLES)
+            values, _ = gain(points)
             inside = (values[:-1] <= 0) & (values[1:] > 0)
-            best = jnp.clip(jnp.argmax(values), 1, _PLACES - 2)
+            best = jnp.clip(jnp.argmax(values), 1, _SAMPLES - 2)
             first = jnp.where(jnp.any(inside), jnp.argmax(inside), best - 1)
             both = first + jnp.stack([0, jnp.where(jnp.any(inside), 1, 2)])
-            return places[both], values[both]
+            return points[both], values[both]
 
         (low, high), (before, after) = lax.fori_loop(0, _LOOKS, closer, (ends, jnp.zeros(2)))
         crosses = (before <= 0) & (after > 0)
@@ -502,7 +502,7 @@ def sliding_share(chain: Chain, box: Box | None = None) -> Float[Array, ""]:
 
     **Returns:** a scalar with an error of about 1e-10; NaN if it is unknown (`sliding_basin` gives
     the reason).  It works under `jit`, `vmap`, `grad`, `jvp` and `jacfwd`, for first derivatives
-    in every number of the chain and in the bounds of the box.
+    in every parameter of the chain and in the bounds of the box.
 
     **Raises:** `ValueError` for a chain of several masses, or anything but a `Box`.
 
@@ -588,11 +588,11 @@ def blow_of_one_mass(chain: Chain) -> tuple[Float[Array, ""], Float[Array, ""]]:
 def _basin(chain: Chain, box: Box) -> SlidingBasin:
     along = jnp.sign(lax.stop_gradient(chain.belt_speed))
     mass, edges = _ahead(chain, box)
-    frozen = lax.stop_gradient(mass)
-    innermost = innermost_unstable_cycle(frozen)
+    fixed = lax.stop_gradient(mass)
+    innermost = innermost_unstable_cycle(fixed)
     exists = jnp.isfinite(innermost.fastest)
     # Without a cycle the equations get finite numbers that are not used.
-    valid = jnp.isfinite(frozen.highest) & (frozen.highest > 0)
+    valid = jnp.isfinite(fixed.highest) & (fixed.highest > 0)
     safe = jax.tree.map(lambda of: jnp.where(valid, of, 1.0), (mass, edges))
     top = jnp.where(exists, innermost.fastest, _ANY * lax.stop_gradient(safe[0].highest))
     once = return_map(*lax.stop_gradient((safe[0], top, safe[1])))

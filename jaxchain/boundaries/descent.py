@@ -198,7 +198,7 @@ def _ascend(
     # cycle, which is carried along.
     start = first_guess(chain, mass)
     shooting = eqx.tree_at(lambda s: s.rtol, start.shooting, 1e-3 * loose_rtol(chain))
-    width, index = jnp.min(chain.width), shooting.place
+    width, index = jnp.min(chain.width), shooting.z_index
     first = jnp.sinh(start.point[-1]) - 0.7 if first is None else first
 
     def update(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], tuple]:

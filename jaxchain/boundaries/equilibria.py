@@ -96,7 +96,7 @@ class Equilibrium(Outcome):
 class HopfPoint(Outcome):
     """An equilibrium with a pair of eigenvalues +-i omega.
 
-    - `parameter`: the name of the number that was varied; `value`: its value at the point.
+    - `parameter`: the name of the parameter that was varied; `value`: its value at the point.
     - `state`; `frequency`: omega > 0; `mode`: the complex eigenvector as m arrays of shape (n,):
       a disturbance moves as Re[mode exp(i omega t)].
     - `growth_slope`: d Re(lambda) / d(value); the equilibrium loses its stability in the direction
@@ -135,7 +135,7 @@ class HopfPoint(Outcome):
 
 
 class Rates(eqx.Module):
-    """The rates of a model as a function of the concatenated state, and of one of its numbers.
+    """The rates of a model as a function of the concatenated state, and of one of its parameters.
 
     `direction`: in which masses slide under dry friction, or STICK; None for a smooth model.
     """
@@ -152,7 +152,7 @@ class Rates(eqx.Module):
         return cls(field, m, parameter, direction)
 
     def at(self, p: Any = None) -> AbstractModel:
-        """The model, with the number set to p."""
+        """The model, with the parameter set to p."""
         return self.field if p is None else self.field.with_(**{str(self.parameter): p})
 
     def __call__(self, u: Float[Array, " mn"], p: Any = None) -> Float[Array, " mn"]:
@@ -242,7 +242,7 @@ def find_equilibrium(
     `guess`: a state, by default the closed form `chain.equilibrium()` or zeros; `tolerance` and
     `max_steps`: see `jaxchain.continuation.newton`.
 
-    **Returns:** an `Equilibrium`, whose state has derivatives in every number of the model.  It
+    **Returns:** an `Equilibrium`, whose state has derivatives in every parameter of the model.  It
     works under `jit` and `vmap`; there `throw` has no effect.
 
     **Raises:** `ValueError` for bad input, `RuntimeError` if no equilibrium is found.
@@ -305,31 +305,31 @@ def _check_sliding(model: Any) -> None:
 def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Equilibrium:
     m, start = len(guess), lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
-    live, frozen = Rates.of(model, m), Rates.of(lax.stop_gradient(model), m)
+    live, fixed = Rates.of(model, m), Rates.of(lax.stop_gradient(model), m)
 
     def solved(residual: Any, args: Any, frozen_args: Any) -> tuple[Any, Array]:
         root = search(residual, start, frozen_args, tolerance, limit, weights)
         return root, attach_derivative(residual, root.value, args)
 
     sticking, interval = jnp.asarray(False), None
-    if frozen.direction is None:
-        root, u = solved(_residual, live, frozen)
-        J = jax.jacfwd(frozen)(root.value)
+    if fixed.direction is None:
+        root, u = solved(_residual, live, fixed)
+        J = jax.jacfwd(fixed)(root.value)
     else:
-        contact, sticking = model.contact, frozen.direction == STICK
+        contact, sticking = model.contact, fixed.direction == STICK
         given = guess[contact - m // 2]
-        root, u = solved(_balance, (live, given), (frozen, lax.stop_gradient(given)))
+        root, u = solved(_balance, (live, given), (fixed, lax.stop_gradient(given)))
         # Contacts that stick are left out, so that their eigenvalues are exactly 0.
         moves = [jnp.full(given.shape, True)] * m
         moves[contact] = moves[contact - m // 2] = jnp.broadcast_to(~sticking, given.shape)
         free = jnp.concatenate(moves)
-        J = jnp.where(jnp.outer(free, free), jax.jacfwd(frozen)(root.value), 0.0)
+        J = jnp.where(jnp.outer(free, free), jax.jacfwd(fixed)(root.value), 0.0)
 
         def end(direction: Array) -> Array:
             def at_limit(field: Any) -> Rates:
                 return Rates(field.with_(belt_speed=0.0), m, None, direction)
 
-            root, u = solved(_residual, at_limit(model), at_limit(frozen.field))
+            root, u = solved(_residual, at_limit(model), at_limit(fixed.field))
             return if_found(sticking & root.successful, jnp.split(u, m)[contact - m // 2])
 
         interval = jnp.sort(jax.vmap(end)(jnp.array([FORWARD, BACKWARD])), axis=0)
@@ -407,7 +407,7 @@ def find_hopf_point(
     max_steps: Given[int] = 50,
     throw: bool = True,
 ) -> HopfPoint:
-    """The Hopf point of an equilibrium near a state and the present value of one number.
+    """The Hopf point of an equilibrium near a state and the present value of one parameter.
 
     It solves f(y, p) = 0 and lambda(y, p) = i omega together by damped Newton steps; lambda is the
     eigenvalue that is closest to the imaginary axis at `guess`.  Waves q and -q of a ring, whose
@@ -421,11 +421,11 @@ def find_hopf_point(
     sign twice within one step is not seen: give a narrower range, or look at `complex_modes`.
 
     **Arguments:** `model`, `guess`, `tolerance`, `max_steps`: as for `find_equilibrium`;
-    `parameter`: the name of a number that `chain.with_` takes, one for all cells; `frequency`:
+    `parameter`: the name of a parameter that `chain.with_` takes, one for all cells; `frequency`:
     choose the pair whose frequency is closest to this instead; `bounds`: (low, high), finite.
 
     **Returns:** a `HopfPoint`.  `value`, `state` and `frequency` have derivatives in all other
-    numbers of the model.  It works under `jit` and `vmap`; there `throw` has no effect.
+    parameters of the model.  It works under `jit` and `vmap`; there `throw` has no effect.
 
     **Raises:** `ValueError` for bad input; `RuntimeError` if no point is found.
 
@@ -527,12 +527,12 @@ def _hopf_point(
     tolerance: Array,
     limit: Array,
 ) -> tuple[HopfPoint, Any]:
-    m, frozen = len(guess), lax.stop_gradient(model)
-    rates = Rates.of(frozen, m, parameter)
-    p = frozen.value_of(parameter)
+    m, fixed = len(guess), lax.stop_gradient(model)
+    rates = Rates.of(fixed, m, parameter)
+    p = fixed.value_of(parameter)
     y = lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(y.shape, y.shape[0] ** -0.5)
-    y = search(_residual, y, Rates.of(frozen, m), tolerance, limit, weights).value
+    y = search(_residual, y, Rates.of(fixed, m), tolerance, limit, weights).value
 
     def nearest(values: Array, far: Array) -> Array:
         return values[jnp.argmin(jnp.where(jnp.imag(values) > 0, far, jnp.inf))]
@@ -625,24 +625,24 @@ def continue_equilibrium(
     max_points: Given[int] = 1000,
     **options: Any,
 ) -> Branch:
-    """Follows an equilibrium as a number of the model changes, around folds, with its Hopf points.
+    """Follows an equilibrium as a parameter changes, around folds, with its Hopf points.
 
     **Arguments:**
 
     - `model`, `guess`: as for `find_equilibrium`.
-    - `parameter`: the name of a number that `chain.with_` takes, one for all cells; `bounds`: its
-      range, which contains the value of the chain, and at whose ends the branch ends.  With dry
-      friction it ends at "belt_speed = 0", where the masses stick.
-    - `direction`: 1 or -1, the sign of the first change of the number; by default both.
+    - `parameter`: the name of a parameter that `chain.with_` takes, one for all cells; `bounds`:
+      its range, which contains the value of the chain, and at whose ends the branch ends.  With
+      dry friction it ends at "belt_speed = 0", where the masses stick.
+    - `direction`: 1 or -1, the sign of the first change of the parameter; by default both.
     - `step`, `max_step`: the first and the longest step, by default at most 0.01 and 0.02.
-      Lengths are ((change of the number / its range)^2 + (mean of squared changes of the state) /
-      (its greatest entry, at least 1)^2)^(1/2): some 50 points or more in the whole range.
+      Lengths are ((change of the parameter / its range)^2 + (mean of squared changes of the state)
+      / (its greatest entry, at least 1)^2)^(1/2): some 50 points or more in the whole range.
     - `max_points` in each direction; `options`: others of `jaxchain.continuation.continue_branch`.
 
-    **Returns:** a `Branch`: `u` (k, m n) the concatenated states, `p` (k,) the number, `extra` (k,
-    m n) the eigenvalues, the greatest real part first, `stable` (k,), and `special`, the points of
-    kind "fold", "branch point" and "hopf".  `find_hopf_point` gives such a point to all digits,
-    with derivatives; `plot_branch` draws the branch.
+    **Returns:** a `Branch`: `u` (k, m n) the concatenated states, `p` (k,) the parameter, `extra`
+    (k, m n) the eigenvalues, the greatest real part first, `stable` (k,), and `special`, the
+    points of kind "fold", "branch point" and "hopf".  `find_hopf_point` gives such a point to all
+    digits, with derivatives; `plot_branch` draws the branch.
 
     **Raises:** `ValueError` for bad input; `RuntimeError` if there is no equilibrium near `guess`.
 

@@ -162,7 +162,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     averaged, averaged_s, exists = fold_guess(alone)
     boundary_layer = slopes.boundary_layer(width)
     # In a thin layer use the asymptotics; otherwise averaging gives the better s and belt speed.
-    narrow, touches = dry.turns & (width < _SET.thick * scale), dry.ratio >= 1.0
+    narrow, touches = dry.is_fold & (width < _SET.thick * scale), dry.ratio >= 1.0
     layered = narrow & touches & jnp.isfinite(boundary_layer.scaled_peak_velocity)
     # A saddle-node of slip cycles hardly moves, except to stay out of the layer.
     free = narrow & ~touches
@@ -172,7 +172,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     )
     moved = jnp.where(layered, moved, dry.q)
     # Averaging errs by the same factor for smoothed as for dry friction, or nearly so.
-    factor = jnp.where(dry.turns, dry_speed / summits.speeds[0], 1.0)
+    factor = jnp.where(dry.is_fold, dry_speed / summits.speeds[0], 1.0)
     speed = jnp.where(thin, moved[-1], averaged * factor)
     s = jnp.where(layered, boundary_layer.scaled_peak_velocity, averaged_s)
     s = jnp.where(free, jnp.minimum(dry.w / width, usual_peak_velocity(width / dry_speed)), s)
@@ -193,7 +193,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
         parameter="belt_speed",
     )
     u = shooting.pack((x, v), period, speed)
-    point = jnp.append(u.at[shooting.place].set(speed), u[shooting.place])
+    point = jnp.append(u.at[shooting.z_index].set(speed), u[shooting.z_index])
     sound, exists = jnp.all(jnp.isfinite(point)), exists | thin
     damped, none = alone.damping_ratio > 0, damping_outweighs(chain)
     failed = SearchResult.where(sound, SearchResult.no_cycle, SearchResult.no_touch)
@@ -206,8 +206,8 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
         loose=jnp.where(good, _SET.rtol, loose_rtol(chain)),
         hopeful=~none & damped & exists & sound,
         result=without_fold(failed, exists, damped, none),
-        unstable=dry.turns & unstable,
-        weakly_unstable=dry.turns & ~unstable,
+        unstable=dry.is_fold & unstable,
+        weakly_unstable=dry.is_fold & ~unstable,
         slopes=slopes,
     )
 
@@ -259,7 +259,7 @@ class FoldSearch(NamedTuple):
 
 def unknowns(shooting: Shooting, point: Float[Array, " m_plus_1"]) -> tuple[Array, Array]:
     """(u, v_d) from a point of the search, which is u with v_d in place of z_j = asinh s."""
-    return point[:-1].at[shooting.place].set(point[-1]), point[shooting.place]
+    return point[:-1].at[shooting.z_index].set(point[-1]), point[shooting.z_index]
 
 
 # The runs from the cut that should meet, in periods, and the states at their ends.
@@ -359,7 +359,7 @@ def _entry(shooting: Shooting, now: FoldSearch, tight: Array, start: FoldGuess) 
     def either(pair: tuple[float, float]) -> Array:
         return jnp.where(tight, pair[1], pair[0])
 
-    index = shooting.place
+    index = shooting.z_index
     q, z = now.point[:-1], now.point[-1]
     r, jacobian = value_and_jacobian(shooting, now.point)
     norm = jnp.max(jnp.abs(r))
@@ -525,8 +525,8 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
     width and corrected by the asymptotics of `Grazing.smoothed`, with an error below 1e-10 of that
     speed, or 1e-8 if the slip cycle is very unstable.  The correction enters only the derivative
     in the width; other derivatives then have an error of about 1e-6.  It works under
-    `jit`, `vmap`, `grad` and `jvp`, in every number of the chain, for first derivatives: since v_d
-    is stationary along the branch, they are those of a cycle with fixed max w / eps.
+    `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first derivatives: since
+    v_d is stationary along the branch, they are those of a cycle with fixed max w / eps.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -563,19 +563,19 @@ def fold_speed_and_peak(
 @eqx.filter_jit
 def _belt_speed(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Array:
     """v_d with its derivatives."""
-    held = _held(chain, start)
+    shooting = _shooting_of(chain, start)
     z = lax.stop_gradient(search_end.point[-1])
     once = (
         "`fold_belt_speed` can be differentiated once only. For second derivatives take "
         "`find_fold(chain).belt_speed`."
     )
-    q = attach_derivative(held_residual, search_end.point[:-1], (held, z), once=once)
-    return if_found(search_end.converged, q[held.place] + _gained(chain, mass, start))
+    q = attach_derivative(fixed_peak_residual, search_end.point[:-1], (shooting, z), once=once)
+    return if_found(search_end.converged, q[shooting.z_index] + _gained(chain, mass, start))
 
 
-def held_residual(q: Float[Array, " m"], held: tuple[Shooting, Array]) -> Float[Array, " m"]:
+def fixed_peak_residual(q: Float[Array, " m"], args: tuple[Shooting, Array]) -> Float[Array, " m"]:
     """The equations of the cycle whose mass j has max w / eps = sinh z."""
-    shooting, z = held
+    shooting, z = args
     return _closure(*unknowns(shooting, jnp.append(q, z)), shooting)
 
 
@@ -618,23 +618,23 @@ def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold:
 @eqx.filter_jit
 def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Fold:
     """The fold with the derivatives of its cycle."""
-    held = _held(chain, start)
+    shooting = _shooting_of(chain, start)
     # (left, right) null vectors of dR/du at the fold.
-    slope = search_end.jacobian[:, :-1].at[:, held.place].set(search_end.jacobian[:, -1])
+    slope = search_end.jacobian[:, :-1].at[:, shooting.z_index].set(search_end.jacobian[:, -1])
     left, _, right = jnp.linalg.svd(
         jnp.where(search_end.converged, slope, jnp.eye(slope.shape[0]))
     )
-    both = jnp.append(*unknowns(held, search_end.point))
-    both = attach_derivative(fold_residual(_closure), both, (held, (left[:, -1], right[-1])))
-    _, state, period = held.unpack(both[:-1], both[-1])
+    both = jnp.append(*unknowns(shooting, search_end.point))
+    both = attach_derivative(fold_residual(_closure), both, (shooting, (left[:, -1], right[-1])))
+    _, state, period = shooting.unpack(both[:-1], both[-1])
     return Fold(
         belt_speed=if_found(search_end.converged, both[-1] + _gained(chain, mass, start)),
         period=period,
         state=state,
-        scaled_peak_velocity=jnp.sinh(both[held.place]),
+        scaled_peak_velocity=jnp.sinh(both[shooting.z_index]),
         residual=search_end.residual,
         result=start.result,
-        width=held.field.width,  # pyright: ignore[reportAttributeAccessIssue]
+        width=shooting.field.width,  # pyright: ignore[reportAttributeAccessIssue]
         evaluations=search_end.evaluations,
         mass=mass,
     )
@@ -656,8 +656,8 @@ def _find(chain: Chain, mass: int) -> tuple[FoldGuess, FoldSearch]:
     return start._replace(result=result), search_end
 
 
-def _held(chain: Chain, start: FoldGuess) -> Shooting:
-    """The equations with the numbers of `chain`."""
+def _shooting_of(chain: Chain, start: FoldGuess) -> Shooting:
+    """The equations with the parameters of `chain`."""
     wide = at_least_wide(chain, lax.stop_gradient(start.width))
     return eqx.tree_at(lambda s: s.field, start.shooting, wide)
 
@@ -691,8 +691,8 @@ def fold_belt_speeds(
     **Arguments:**
 
     - `chain`, `mass`: as for `fold_belt_speed`.
-    - `over`: as for `sweep`: a mapping from numbers of the chain or of its friction law to values,
-      or from a dimension to a mapping or data frame of several numbers that vary together:
+    - `over`: as for `sweep`: a mapping from parameters of the chain or of its friction law to
+      values, or from a dimension to a mapping or data frame of parameters that vary together:
       `{"sample": {"damping_ratio": xi, "v_ref": speeds}}`.
     - `progress`: show a progress bar.
 
@@ -792,7 +792,7 @@ def fold_belt_speeds(
 
 
 class _FoldTask(eqx.Module):
-    """The data common to all sets: their chain, and the names of the numbers that vary."""
+    """The data common to all sets: their chain, and the names of the parameters that vary."""
 
     chain: Chain
     mass: int = eqx.field(static=True)

@@ -265,7 +265,7 @@ class DryFold(NamedTuple):
 
     `ratio` = 1 + w / v_d, with w the greatest velocity of the mass relative to the belt; 1 at a
     grazing.  `layer_velocities`: dq / d(w_+, w_-) at this ratio; its last row is V_+ and V_- if
-    the belt speed is stationary or the ratio is 1.  `turns`: whether the belt is faster than for
+    the belt speed is stationary or the ratio is 1.  `is_fold`: whether the belt is faster than for
     all nearby slip cycles; if not, q is the smallest cycle reached.  `steps`: of `GrazingOrbit`,
     in a period; `evaluations`: the number of Jacobians.
     """
@@ -273,7 +273,7 @@ class DryFold(NamedTuple):
     q: Float[Array, " m"]
     ratio: Float[Array, ""]
     layer_velocities: Float[Array, "m two"]
-    turns: Bool[Array, ""]
+    is_fold: Bool[Array, ""]
     steps: Int[Array, ""]
     evaluations: Int[Array, ""]
 
@@ -308,7 +308,7 @@ class _Way(NamedTuple):
     newton: Iterate  # `aux` is dq / d(w_+, w_-)
     evaluations: Int[Array, ""]
     settled: Bool[Array, ""]
-    turns: Bool[Array, ""]
+    is_fold: Bool[Array, ""]
 
 
 def find_dry_fold(
@@ -330,9 +330,9 @@ def find_dry_fold(
     def also(best: DryFold, guess: tuple[Array, Array, Array]) -> tuple[DryFold, None]:
         ratio, speed, first = guess
         # The second maximum of averaging is also tried if it is nearly as fast.
-        wanted = first | ~best.turns | (speed > 0.9 * summits.speeds[0])
+        wanted = first | ~best.is_fold | (speed > 0.9 * summits.speeds[0])
         new = _climb(chain, mass, alone, ratio, jnp.where(wanted, speed, jnp.nan), exact)
-        slower = best.turns & (~new.turns | (best.q[-1] >= new.q[-1]))
+        slower = best.is_fold & (~new.is_fold | (best.q[-1] >= new.q[-1]))
         kept = slower | (jnp.isnan(new.q[-1]) & ~first)
         return where(kept, best, new)._replace(
             evaluations=best.evaluations + new.evaluations
@@ -392,12 +392,12 @@ def _climb(
         # At full strength: along the slip cycles for a guess, then with more and more steps.
         full = reached >= 1.0
         climbs, misses = full & good, full & ~good
-        secant, target, summit, turns = _uphill(now.secant, now.target, root, newton.aux)
+        secant, target, summit, is_fold = _uphill(now.secant, now.target, root, newton.aux)
         summit = climbs & summit
         lost = misses & (jnp.abs(apart) <= _SET.least_stride)
         still = jnp.abs(root[-1] - now.coarse) <= _SET.settled * root[-1]
         enough = still | (now.steps >= _SET.most_steps) | ~jnp.asarray(exact)
-        settled = lost | (summit & (enough | ~turns))
+        settled = lost | (summit & (enough | ~is_fold))
         refined = summit & ~settled
         more = jnp.where(now.steps > _SET.coarse_steps, 2 * now.steps, _SET.first_steps)
         # With other steps the fold may lie outside the bracket, by a little.
@@ -416,7 +416,7 @@ def _climb(
         coarse = jnp.where(refined, root[-1], now.coarse)
         onward = _Way(
             *(q, slope, layer_velocities, reached, goal, secant, target, steps, coarse),
-            *(nothing._replace(u=guess), now.evaluations + 1, settled, summit & turns),
+            *(nothing._replace(u=guess), now.evaluations + 1, settled, summit & is_fold),
         )
         same = now._replace(newton=newton, evaluations=now.evaluations + 1)
         return where(ended | spent, onward, same)
@@ -425,9 +425,9 @@ def _climb(
     q, layer_velocities = (
         jnp.where(last.settled, part, jnp.nan) for part in (last.q, last.layer_velocities)
     )
-    turns = last.settled & last.turns & (q[-1] > 0)
+    is_fold = last.settled & last.is_fold & (q[-1] > 0)
     return DryFold(
-        q, jnp.sqrt(last.secant.y), layer_velocities, turns, last.steps, last.evaluations
+        q, jnp.sqrt(last.secant.y), layer_velocities, is_fold, last.steps, last.evaluations
     )
 
 
@@ -468,11 +468,11 @@ def weakened(chain: Chain, share: Any) -> Chain:
     weak = chain.with_(damping_ratio=share * chain.damping_ratio, normal_load=share * chain.load)
     if chain.springs is None:
         return weak
-    held = (1.0 - share) * chain.springs.row_sum(chain.n)
+    removed = (1.0 - share) * chain.springs.row_sum(chain.n)
     return eqx.tree_at(
         lambda c: (c.stiffness, c.springs.constant),
         weak,
-        (chain.stiffness + held, share * chain.springs.constant),
+        (chain.stiffness + removed, share * chain.springs.constant),
     )
 
 
@@ -537,7 +537,7 @@ def dry_fold_belt_speed(chain: Chain, mass: Given[int | None] = None) -> Float[A
 
     **Returns:** the dimensionless v_d, with a relative error of about 1e-11; NaN if there is no
     fold or none is found.  `find_grazing` returns its kind, or the reason.  Works under `jit`,
-    `vmap`, `grad`, `jvp` and `jax.hessian`, in every number of the chain.
+    `vmap`, `grad`, `jvp` and `jax.hessian`, in every parameter of the chain.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -580,34 +580,34 @@ def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> S
 
 @eqx.filter_jit
 def _find(chain: Chain, mass: int) -> Grazing:
-    frozen = lax.stop_gradient(chain)
-    alone = one_mass(frozen, mass)
+    fixed = lax.stop_gradient(chain)
+    alone = one_mass(fixed, mass)
     summits = dry_summits(alone)
-    dry = find_dry_fold(frozen, mass, alone, summits)
-    grazing = GrazingOrbit(frozen, dry.steps, mass)
+    dry = find_dry_fold(fixed, mass, alone, summits)
+    grazing = GrazingOrbit(fixed, dry.steps, mass)
     gap, slopes, highest = grazing_slopes(grazing, dry.q, dry.w)
     slope_plus, slope_minus = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
     (_, v), _, speed = grazing.unpack(dry.q, dry.w)
     deceleration = grazing.deceleration(v)
     slides = jnp.all(highest <= (1.0 + 1e-9) * speed)
     touches = dry.ratio >= 1.0
-    folds = dry.turns & (slope_minus < 0) & (deceleration > 0)
-    at_speed = eqx.tree_at(lambda c: c.belt_speed, frozen, speed)
+    folds = dry.is_fold & (slope_minus < 0) & (deceleration > 0)
+    at_speed = eqx.tree_at(lambda c: c.belt_speed, fixed, speed)
     folds = folds & at_speed.can_be_cycle(jnp.exp(dry.q[-2]), jnp.abs(v))
     exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
-    result = of.where(dry.turns | jnp.isnan(speed), result, of.no_turn)
+    result = of.where(dry.is_fold | jnp.isnan(speed), result, of.no_turn)
     expected, damped = jnp.isfinite(summits.speeds[0]), alone.damping_ratio > 0
-    result = without_fold(result, expected, damped, damping_outweighs(frozen))
+    result = without_fold(result, expected, damped, damping_outweighs(fixed))
     result = of.where(exists, of.successful, result)
     # z = (q without the belt speed, w, v_d), the unknowns of the fold equations.
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
     left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
-    held = GrazingOrbit(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
-    z = if_found(exists, attach_derivative(_fold_equations, z, held))
-    state, period, speed = held[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
+    args = GrazingOrbit(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
+    z = if_found(exists, attach_derivative(_fold_equations, z, args))
+    state, period, speed = args[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(
         belt_speed=speed,
         period=period,
@@ -633,8 +633,8 @@ def _closure(u: Float[Array, " m"], speed: Any, grazing: GrazingOrbit) -> Float[
 _SADDLE_NODE = fold_residual(_closure)
 
 
-def _fold_equations(z: Float[Array, " m_plus_1"], held: Any) -> Float[Array, " m_plus_1"]:
+def _fold_equations(z: Float[Array, " m_plus_1"], args: Any) -> Float[Array, " m_plus_1"]:
     """The slip cycle closes, and grazes the belt speed or is a saddle-node."""
-    grazing, borders, touches = held
+    grazing, borders, touches = args
     r = _SADDLE_NODE(z, (grazing, borders))
     return r.at[-1].set(jnp.where(touches, z[-2], r[-1]))

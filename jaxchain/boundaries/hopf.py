@@ -44,21 +44,21 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     = v0 ln[p (mu_st - mu_d) / (2 xi v0)].  Otherwise (a number is given per mass) it is the
     greatest speed at which an eigenvalue of the 2n x 2n Jacobian crosses.
 
-    **How:** a scan over 1024 speeds up to 1e6 brackets the last change of sign of d.  For numbers
-    per mass it brackets that of the greatest real part at 64 speeds, between the last zero of
-    trace D, where sliding is not stable, and the last zero of min d_n, above which it is stable.
-    The scan is refined there and where a minimum is close to zero; then bisection and Newton's
-    method follow, for numbers per mass on the singularity of K - omega^2 + i omega D.
+    **How:** a scan over 1024 speeds up to 1e6 brackets the last change of sign of d.  For
+    parameters per mass it brackets that of the greatest real part at 64 speeds, between the last
+    zero of trace D, where sliding is not stable, and the last zero of min d_n, above which it is
+    stable. The scan is refined there and where a minimum is close to zero; then bisection and
+    Newton's method follow, for parameters per mass on the singularity of K - omega^2 + i omega D.
     `hopf_points` lists every Hopf point and proves that none is missing.  Numbers per mass need
     `jnp.linalg.eigvals`, which JAX has for CPU and GPU; uniform numbers need only elementary
     functions.
 
     **Returns:** v_H > 0, dimensionless; `chain.belt_speed` is ignored.  NaN if there is none:
     friction weakens too little, or sliding is unstable at high speed because damping is not
-    positive.  It works under `jit` and `vmap` and has derivatives of every order in every number
-    of the chain.  If several modes of a chain with numbers per mass cross together (for equal
-    numbers or a symmetric pattern), v_H has a corner, and the derivative is that of one of these
-    modes, to first order only.
+    positive.  It works under `jit` and `vmap` and has derivatives of every order in every
+    parameter of the chain.  If several modes of a chain with parameters per mass cross together
+    (for equal numbers or a symmetric pattern), v_H has a corner, and the derivative is that of one
+    of these modes, to first order only.
 
     **Raises:** `RuntimeError` without 64-bit floats; `ValueError` for a chain of 32 bits.
 
@@ -73,11 +73,11 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
 
 @eqx.filter_jit
 def _speed(chain: Chain) -> Array:
-    frozen = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
+    fixed = jax.tree.map(lax.stop_gradient, chain)  # nothing is differentiated through a search
     if has_uniform_damping(chain):
-        speed = _uniform(frozen)
+        speed = _uniform(fixed)
         return attach_derivative(_damping_residual, jnp.reshape(speed, (1,)), chain)[0]
-    crossing, shape, together = _mistuned(frozen)
+    crossing, shape, together = _mistuned(fixed)
     return attach_derivative(crossing_residual, crossing, (chain, shape, together))[0]
 
 

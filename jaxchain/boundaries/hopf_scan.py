@@ -211,7 +211,7 @@ def generalised_hopf(
     **Arguments:** `chain` of one mass; `parameter`, the name of the varied number, such as
     "damping_ratio", "mu_static" or "width"; `low`, `high`, its positive bounds.
 
-    **Returns:** both dimensionless numbers, differentiable in every other number of the chain.
+    **Returns:** both dimensionless numbers, differentiable in every other parameter of the chain.
     Works under `jit` and `vmap`.
 
     **Raises:** `ValueError` for a chain of several masses, an unknown name or a bad interval.
@@ -239,7 +239,7 @@ def generalised_hopf(
 
 @eqx.filter_jit
 def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> GeneralisedHopf:
-    frozen = jax.tree.map(lax.stop_gradient, chain)
+    fixed = jax.tree.map(lax.stop_gradient, chain)
 
     def coefficient(chain: Chain, belt_speed: Array) -> Array:
         """l1 of one mass, whose modes are all alike."""
@@ -247,7 +247,7 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
         return first_lyapunov_coefficient(chain, belt_speed, jnp.sqrt(chain.stiffness), one)
 
     def l1_on_the_hopf_curve(logarithm: Array) -> Array:
-        varied = frozen.with_(**{parameter: jnp.exp(logarithm)})
+        varied = fixed.with_(**{parameter: jnp.exp(logarithm)})
         return coefficient(varied, hopf_belt_speed(varied))
 
     def zoom(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -273,9 +273,9 @@ def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> Generalis
     ends = jnp.log(low), jnp.log(high), jnp.asarray(False)
     start, _, changed = lax.fori_loop(0, 5, zoom, ends)
     value = jnp.exp(start)
-    unit = jnp.stack([value, hopf_belt_speed(frozen.with_(**{parameter: value}))])
+    unit = jnp.stack([value, hopf_belt_speed(fixed.with_(**{parameter: value}))])
     # The error of third derivatives at a width eps is rounding over eps^3.
-    root = newton(system, jnp.ones(2), (frozen, unit), tolerance=1e-8)
+    root = newton(system, jnp.ones(2), (fixed, unit), tolerance=1e-8)
     result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
     value = jnp.where(changed & root.successful, root.value, jnp.nan)
     value, speed = attach_derivative(system, value, (chain, unit)) * unit
@@ -440,7 +440,7 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
                     points.append(Crossing(speed, frequency, shape, np.nan, int(count)))
         # The crossings must explain the change of the number of unstable pairs.
         unstable = [int((np.real(eigenvalues(speed)) > 0).sum()) // 2 for speed in (first, last)]
-        gained = sum(c.multiplicity * _turns(chain, c) for c in points)
+        gained = sum(c.multiplicity * _growth_direction(chain, c) for c in points)
         if first > least and last < greatest and unstable[1] - unstable[0] != gained:
             raise RuntimeError(
                 f"Between the belt speeds {first} and {last} the number of growing modes changes "
@@ -451,7 +451,7 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
         yield from points
 
 
-def _turns(chain: Chain, crossing: Crossing) -> int:
+def _growth_direction(chain: Chain, crossing: Crossing) -> int:
     """+1 if the mode begins to grow as the speed grows, -1 if it ceases to."""
     speed, omega, u = crossing.speed, crossing.frequency, crossing.shape
     D, up, down = _damping(chain, speed * np.array([1.0, 1.0 + 1e-7, 1.0 - 1e-7]))
@@ -512,7 +512,7 @@ class HopfPoints(Printed, eqx.Module):
       instead of sticking.
 
     In a homogeneous chain all n modes cross at one belt speed; each coefficient then is that of
-    one wave alone, and its cycles are those of the full chain while their growth is slow compared
+    one wave alone.  Its cycles are cycles of the full chain while their growth is slow compared
     with the differences of the frequencies.  If 4 q is a multiple of 2 pi there is a second
     standing wave, cos(q (n + 1/2)), with another coefficient.
 
@@ -593,7 +593,7 @@ def hopf_points(chain: Chain, belt_speeds: Given[ArrayLike] = (0.0, GREATEST_SPE
 
 
 def _simplified(chain: Chain) -> Chain:
-    """The same chain; equal numbers per mass become one number, and zero springs are removed."""
+    """The same chain; equal parameters per mass become one, and zero springs are removed."""
 
     def one(value: Array) -> Array:
         if jnp.ndim(value) == 0 or not bool(jnp.all(value == value[0])):

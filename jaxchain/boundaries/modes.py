@@ -24,7 +24,7 @@ from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_model, as_parameter
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..result import Outcome, SearchResult
 from .equilibria import Rates, equilibria_over, labels_of, near_equilibrium
 
@@ -135,7 +135,7 @@ class ComplexModes(Outcome):
                 "parameters": parameters_of(
                     self.chain, self.state[0].shape[-1], [name] if self.parameter else []
                 ),
-                **circumstances(),
+                **environment(),
             },
         )
 
@@ -272,8 +272,8 @@ def complex_modes(
         as_parameter(model, name, "over")
         values = as_array(f"over[{name!r}]", values, 1, 1, "the values of the parameter.")
         check_finite(f"over[{name!r}]", values)
-        turns = () if is_traced(values) else np.sign(np.diff(np.asarray(values)))
-        if len(set(turns)) > 1 or 0.0 in set(turns):
+        signs = () if is_traced(values) else np.sign(np.diff(np.asarray(values)))
+        if len(set(signs)) > 1 or 0.0 in set(signs):
             raise ValueError(
                 f"Argument `over[{name!r}]` must increase or decrease, but is {shown(values)}: a "
                 "mode is followed from value to value."
@@ -305,10 +305,10 @@ def _sliding(u: Array, rates: Rates) -> Array:
 def _modes(
     model: Any, name: str | None, state: State, values: Array, tolerance: Array, limit: Array
 ) -> ComplexModes:
-    m, frozen = len(state), lax.stop_gradient(model)
+    m, fixed_model = len(state), lax.stop_gradient(model)
     start = lax.stop_gradient(jnp.concatenate(state))
     points = lax.stop_gradient(values)
-    root = equilibria_over(Rates.of(frozen, m, name), start, points, tolerance, limit)
+    root = equilibria_over(Rates.of(fixed_model, m, name), start, points, tolerance, limit)
 
     def matrix(u: Array, p: Array) -> tuple[Array, Array]:
         rates = Rates.of(model if name is None else model.with_(**{name: p}), m)
@@ -325,7 +325,7 @@ def _modes(
 
     def outcome(u: Array, p: Array, result: SearchResult) -> SearchResult:
         """A failure where a dry mass does not move over the belt: it has no linear model."""
-        there: Any = frozen if name is None else frozen.with_(**{str(name): p})
+        there: Any = fixed_model if name is None else fixed_model.with_(**{str(name): p})
         layer = there.layer(0.0, tuple(jnp.split(u, m))) if there.dry else None
         slides = True if layer is None else jnp.all(layer[0] != 0)
         return SearchResult.where(slides, result, SearchResult.nonfinite)

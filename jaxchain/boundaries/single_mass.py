@@ -79,7 +79,7 @@ def one_mass_branch(
         >>> from jaxchain import paper_chain
         >>> from jaxchain.boundaries import one_mass_branch
         >>> branch = one_mass_branch(paper_chain(n=1, width=1e-2), lowest=1.0)
-        >>> there = ~np.isnan(branch.belt_speed)  # places without a point are NaN
+        >>> there = ~np.isnan(branch.belt_speed)  # NaN where there is no point
         >>> float(branch.amplitude[0]), round(float(branch.belt_speed[0]), 4)  # at the Hopf point
         (0.0, 1.1513)
         >>> bool(branch.belt_speed[there].max() == branch.belt_speed[branch.fold])
@@ -108,8 +108,8 @@ def one_mass_branch(
             max_step=step, max_points=_POINTS + 1, bounds=(least, np.inf), mass=0,
             keep_part=False,
         )  # fmt: skip
-        places = _POINTS + 1 + way * np.arange(len(side.parameter))
-        rows[:, places] = (
+        columns = _POINTS + 1 + way * np.arange(len(side.parameter))
+        rows[:, columns] = (
             side.parameter,
             side.amplitude[:, 0],
             side.scaled_peak_velocity,

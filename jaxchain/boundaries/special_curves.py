@@ -1,9 +1,9 @@
-"""Curves of special points in two numbers of a model, and special cycles to all digits.
+"""Curves of special points in two parameters of a model, and special cycles to all digits.
 
 A special point solves the equations F(u, p) = 0 of its cycle or equilibrium and one more, g = 0;
-with a second number q free such points form a curve (Govaerts, Numerical Methods for Bifurcations
-of Dynamical Equilibria, SIAM 2000, chapters 4 and 5; Kuznetsov, Elements of Applied Bifurcation
-Theory, chapters 8 to 10).  M is the monodromy matrix.
+with a second parameter q free such points form a curve (Govaerts, Numerical Methods for
+Bifurcations of Dynamical Equilibria, SIAM 2000, chapters 4 and 5; Kuznetsov, Elements of Applied
+Bifurcation Theory, chapters 8 to 10).  M is the monodromy matrix.
 
 | kind | g |
 |---|---|
@@ -70,7 +70,7 @@ from ..model.arguments import as_mass, as_model, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..observers.amplitude import Amplitude
 from ..result import Outcome, Printed, SearchResult
 from ..simulation.event_driven import EventDriven
@@ -86,9 +86,9 @@ _KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
 _SMALL = 1e-3
 # A margin of rounding.
 _MET = 1e-9
-# What else may happen on a cycle with dry friction, in the order of `Seen.margins`.
+# What else may happen on a cycle with dry friction, in the order of `CycleProperties.margins`.
 _OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
-# Beside the length of the tangent: slopes of both numbers that vanish together at a cusp.
+# Beside the length of the tangent: slopes of both parameters that vanish together at a cusp.
 _CUSP = 1e-4
 # Reasons besides those of a branch.
 _ENDINGS = {
@@ -101,9 +101,9 @@ _NEAR = 1e-2
 _TOLERANCE = 1e-8
 # The least share of the way to another model.
 _LEAST_STEP = 1e-3
-# Below it a number has no scale of its own.
+# Below it a parameter has no scale of its own.
 _TINY = 1e-6
-# Ends that a number which vanishes may cause, and its share of the greatest on the curve.
+# Ends that a parameter which vanishes may cause, and its share of the greatest on the curve.
 _VANISHING = ("small", "lost", "step_too_small", *_OTHER_EVENTS)
 _VANISHED = 1e-3
 
@@ -178,7 +178,7 @@ class _CycleEquations(eqx.Module):
         """R, for steps without new derivatives."""
         return self.values(U)[0] if self.smooth else self.residual(U)
 
-    def frozen(self, U: Array, left: Array, right: Array) -> Array:
+    def with_fixed_vectors(self, U: Array, left: Array, right: Array) -> Array:
         """A function that has the slopes of g at the point of a = `left` and b = `right`."""
         u, parameters, kappa = self.split(U)
         shooting = self.shooting
@@ -208,7 +208,7 @@ class _CycleEquations(eqx.Module):
 
     @property
     def names(self) -> tuple[str, str]:
-        """The first and the second number."""
+        """The first and the second parameter."""
         return self.shooting.parameter
 
     def weights(self, U: np.ndarray) -> np.ndarray:
@@ -263,7 +263,7 @@ class _CycleEquations(eqx.Module):
         """ "small" if the amplitude vanishes, "lost" if there is no cycle, else ""."""
         if not extra.sound:
             return "lost"
-        small = self.shooting.turns is None and extra.speed < _SMALL * first.speed
+        small = self.shooting.forcing_periods is None and extra.speed < _SMALL * first.speed
         return "small" if small else ""
 
     def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
@@ -275,7 +275,7 @@ class _CycleEquations(eqx.Module):
         return list(zip(zip(*states, strict=True), *others, strict=True))
 
     def residual(self, U: Array) -> Array:
-        """R, with derivatives, in every number of the model as well."""
+        """R, with derivatives, in every parameter of the model as well."""
         u, parameters, _ = self.split(U)
         gaps = self.shooting.residual(u, *parameters)
         return jnp.append(gaps, _test(U, self)) if self.smooth else gaps
@@ -288,7 +288,7 @@ class _CycleEquations(eqx.Module):
         r, slopes, extra, left, right = self.values(U)
         m, k = self.shooting.size, self._extra
         top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
-        last = jax.jacfwd(self.frozen)(U, left, right)
+        last = jax.jacfwd(self.with_fixed_vectors)(U, left, right)
         return r, jnp.concatenate([jnp.concatenate(top, axis=1), last]), extra
 
 
@@ -301,10 +301,10 @@ def _test(U: Array, equations: _CycleEquations) -> Array:
 def _test_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     r, _, _, *vectors = primals[1].values(primals[0])
 
-    def frozen(U: Array, equations: _CycleEquations) -> Array:
-        return equations.frozen(U, *vectors)
+    def fixed(U: Array, equations: _CycleEquations) -> Array:
+        return equations.with_fixed_vectors(U, *vectors)
 
-    _, tangent = eqx.filter_jvp(frozen, primals, tangents)
+    _, tangent = eqx.filter_jvp(fixed, primals, tangents)
     return r[primals[1].shooting.size :], tangent
 
 
@@ -351,7 +351,7 @@ class _HopfEquations(eqx.Module):
 
     @property
     def names(self) -> tuple[str, str]:
-        """The first and the second number."""
+        """The first and the second parameter."""
         return str(self.rates.parameter), self.second
 
     def weights(self, U: np.ndarray) -> np.ndarray:
@@ -427,7 +427,7 @@ class SpecialCycle(Outcome):
     """A cycle at a special point, to all digits.
 
     - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; with dry friction "fold",
-      "grazing fold", "grazing", "release" or "stick onset"; `parameter`: the name of the number
+      "grazing fold", "grazing", "release" or "stick onset"; `parameter`: the name of the parameter
       that was solved for, and `value` its value there.
     - `state`, `period`: of the cycle, as `find_limit_cycle` has them.
     - `residual`: of the equations, after `steps` Jacobians; `result`: the outcome.
@@ -465,7 +465,7 @@ def find_special_cycle(
     max_steps: Given[int] = 30,
     throw: bool = True,
 ) -> SpecialCycle:
-    """The special cycle near a given point, of the same kind, for other numbers of the model.
+    """The special cycle near a given point, of the same kind, for other parameters of the model.
 
     Solves the equations of the cycle and of the special point together, by damped Newton steps.
 
@@ -475,16 +475,16 @@ def find_special_cycle(
       `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
       `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
       last three must not be traced.
-    - `model`: the model with other numbers, by default the same; its own value of the parameter is
-      ignored.  If the search fails, it goes there in steps, unless `model` is traced.
+    - `model`: the model with other parameters, by default the same; its own value of the parameter
+      is ignored.  If the search fails, it goes there in steps, unless `model` is traced.
     - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
       mass, while it slides, just reaches the speed of the belt), "release" (while it sticks, the
       force just reaches the static limit) or "stick onset" (it begins to stick where it passed the
-      speed of the belt), and the name of the number that is solved for.
+      speed of the belt), and the name of the parameter that is solved for.
     - `tolerance`, `max_steps`: see `jaxchain.continuation.newton`.
 
     **Returns:** a `SpecialCycle`; `value`, `state` and `period` have first derivatives in every
-    number of `model`.  It works under `jit` and `vmap`; there `throw` has no effect.
+    parameter of `model`.  It works under `jit` and `vmap`; there `throw` has no effect.
 
     **Raises:** `ValueError` for bad input, `RuntimeError` if no such cycle is found.
 
@@ -559,19 +559,20 @@ def _find(
     def equations(field: Any) -> _CycleEquations:
         return replace(given, shooting=replace(given.shooting, field=field, parameter=(name,)))
 
-    frozen, weights = equations(lax.stop_gradient(model)), 1.0 / (1.0 + jnp.abs(U))
+    fixed, weights = equations(lax.stop_gradient(model)), 1.0 / (1.0 + jnp.abs(U))
 
     def both(U: Array) -> tuple[Array, Any, Any]:
-        value, slopes, extra = frozen.linearise(U)
+        value, slopes, extra = fixed.linearise(U)
         return value, factorise(slopes, weights), (jnp.max(jnp.abs(value)), extra)
 
     root, result, steps = solve(both, lax.stop_gradient(U), weights, tolerance, limit)
     left, extra = both(root)[2]
     result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
-    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | (given.shooting.turns is not None))
+    forced = given.shooting.forcing_periods is not None
+    moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | forced)
     lost = (result == SearchResult.successful) & ~moves
     result = SearchResult.where(lost, SearchResult.steady_sliding, result)
-    if frozen.dry:
+    if fixed.dry:
         more = (result == SearchResult.successful) & (jnp.max(extra.margins) > _MET)
         result = SearchResult.where(more, SearchResult.other_events, result)
     once = "A special cycle can be differentiated once only."
@@ -582,7 +583,7 @@ def _find(
     _, state, period = live.shooting.unpack(u, value)
     return SpecialCycle(
         kind=given.kind, parameter=name, value=value, state=state, period=period, residual=left,
-        result=result, steps=steps, equations=frozen, unknowns=root,
+        result=result, steps=steps, equations=fixed, unknowns=root,
     )  # fmt: skip
 
 
@@ -656,7 +657,7 @@ def _of_dry_cycle(
 class CurvePoint(Printed):
     """A point of a `SpecialCurve` at which more happens.
 
-    `kind`, the numbers `first` and `second`; `error` of `second`, from the search; `index`: it
+    `kind`, the parameters `first` and `second`; `error` of `second`, from the search; `index`: it
     lies between this point of the curve and the next; `unknowns`: as in `SpecialCurve`.
 
     See `continue_special` for an example.
@@ -673,10 +674,10 @@ class CurvePoint(Printed):
 @final
 @dataclass(frozen=True, repr=False)
 class SpecialCurve(Printed):
-    """A curve of k special points in two numbers of a model, in order, as data on the host.
+    """A curve of k special points in two parameters of a model, in order, as data on the host.
 
     - `kind`: "hopf", or that of a `SpecialCycle`, at the start; `kinds`: that of each point, which
-      with dry friction changes between "grazing fold" and "fold"; `names` of both numbers,
+      with dry friction changes between "grazing fold" and "fold"; `names` of both parameters,
       `first` and `second` (k,): their values.
     - `state`, m arrays (k, n); `period` (k,), of a Hopf point 2 pi / omega; `amplitude` (k, n);
       `residual` (k,): the greatest one of the equations.
@@ -690,10 +691,9 @@ class SpecialCurve(Printed):
     - `ended`: the reasons at the first and the last point: "generalised Hopf" (of folds, whose
       amplitude vanishes there), "Bogdanov-Takens", "1:1" or "1:2" (of a torus), "left_bounds",
       "closed", "max_points", "small" (the amplitude vanishes elsewhere), "lost", "belt_speed = 0"
-      (without a belt that moves there is no cycle), such as "mu_dynamic = 0" for any number that
-      must not be negative, ...; with dry friction also
-      "another grazing", "another release", "another stick onset" and "two events", at one time;
-      `message`: their texts.
+      (without a belt that moves there is no cycle), such as "mu_dynamic = 0" for any parameter
+      that must not be negative, ...; with dry friction also "another grazing", "another release",
+      "another stick onset" and "two events", at one time; `message`: their texts.
     - `equations`, `unknowns` (k, ...): of each point what is solved, and its solution; NaN without
       a cycle.
 
@@ -730,7 +730,7 @@ class SpecialCurve(Printed):
 
     @property
     def chain(self) -> AbstractModel:
-        """The model, with the numbers of the point that the curve was started from."""
+        """The model, with the parameters of the point that the curve was started from."""
         return self.equations[0].field
 
     def of_kind(self, kind: str) -> tuple[CurvePoint, ...]:
@@ -738,9 +738,9 @@ class SpecialCurve(Printed):
         return tuple(point for point in self.special if point.kind == kind)
 
     def at(self, index: int, model: Any = None) -> SpecialCycle | HopfPoint:
-        """Point `index`, solved again for the first number, with derivatives in the others.
+        """Point `index`, solved again for the first parameter, with derivatives in the others.
 
-        `model`: the model with other numbers, by default those of the point.
+        `model`: the model with other parameters, by default those of the point.
 
         **Raises:** `RuntimeError` if no such point is found.
         """
@@ -764,7 +764,7 @@ class SpecialCurve(Printed):
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
 
-        **Returns:** both numbers as coordinates along `point`, under their own names; `period`,
+        **Returns:** both parameters as coordinates along `point`, under their own names; `period`,
         `residual`, `point_kind` (point), `amplitude` (point, oscillator); for special points
         `special_kind`,
         `special_<number>` of both, `special_error`, `special_index`; the attributes `kind`,
@@ -834,7 +834,7 @@ class SpecialCurve(Printed):
                 "ended_first": self.ended[0],
                 "ended_last": self.ended[1],
                 "parameters": parameters_of(self.chain, n, list(self.names)),
-                **circumstances(),
+                **environment(),
             },
         )
 
@@ -850,7 +850,7 @@ def continue_special(
     tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> SpecialCurve:
-    """Follows a special point as two numbers of the model change together, in both directions.
+    """Follows a special point as two parameters of the model change together, in both directions.
 
     Pseudo-arclength continuation of the equations of the cycle or equilibrium and of the special
     point, by damped Newton steps.
@@ -859,13 +859,13 @@ def continue_special(
 
     - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
       `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
-      dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first number.
-    - `second`: the name of the second number, one for all cells.
+      dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first parameter.
+    - `second`: the name of the second parameter, one for all cells.
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends
-      where a number of a `Chain` that must not be negative is 0, and cycles without a force end
+      where a parameter of a `Chain` that must not be negative is 0, and cycles without a force end
       where the belt speed is.
     - `step`, `max_step`, `max_points` in each direction, `tolerance`, `keep_part` (after Ctrl-C):
-      see `continue_branch`; lengths as in `continue_cycle`, with the second number relative
+      see `continue_branch`; lengths as in `continue_cycle`, with the second parameter relative
       to its first value.
 
     **Returns:** a `SpecialCurve`.
@@ -961,10 +961,10 @@ def _ranges(bounds: Any, *names: str) -> dict[str, tuple[float, float]]:
 
 
 def _limits(equations: Any, U: np.ndarray) -> dict[str, tuple[float, float]]:
-    """The ranges of both numbers that have such points, on the side of the start."""
+    """The ranges of both parameters that have such points, on the side of the start."""
     limits = {}
     hopf = equations.kind == "hopf"
-    driven = equations.field.dry if hopf else equations.shooting.turns is None
+    driven = equations.field.dry if hopf else equations.shooting.forcing_periods is None
     for name, value in zip(equations.names, U[-2:], strict=True):
         signed = equations.field.parameter(name).sign != "any"
         ends_at_0 = signed or (driven and name == "belt_speed" and value != 0)
@@ -1072,7 +1072,7 @@ def _piece(
 
 
 def _named_zero(limits: Mapping[str, tuple[float, float]], side: _Side) -> _Side:
-    """The side; a number that vanishes at its end names the end, with its noise left out."""
+    """The side; a parameter that vanishes at its end names the end, with its noise left out."""
     numbers = np.abs(np.array(side.unknowns)[:, -2:])
     small = {"left_bounds": _TINY, **dict.fromkeys(_VANISHING, _VANISHED)}.get(side.ended, -1.0)
     vanish = numbers[-1] <= small * np.max(numbers, axis=0)

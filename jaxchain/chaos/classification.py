@@ -191,14 +191,14 @@ class Criteria:
     """The thresholds, with their reasons.
 
     - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
-      Of other cells it is that of each of the m numbers, in its own unit; a number below it counts
-      in no other criterion.
-    - `near`: spread of section points, relative to the amplitude (of each of the m numbers of
+      Of other cells it is that of each of the m variables, in its own unit; a variable below it
+      counts in no other criterion.
+    - `near`: spread of section points, relative to the amplitude (of each of the m variables of
       other cells), below which Newton's method is tried; it converges from there, and a periodic
       orbit much farther away is a different one.
     - `sits`: spread of a run that stays on its orbit: above the solver's error of 1e-6, below that
       of a passage near an unstable orbit.
-    - `gap`: the residual of Newton's method, relative to the amplitude of each number of a cell.
+    - `gap`: the residual of Newton's method, relative to the amplitude of each variable of a cell.
     - `zero`: exponents (per time unit) of neutral directions: a tenth of the weakest chaos and of
       the slowest relaxation seen in blocks of vibrating masses, 1e-3.  Give a smaller one for
       cells that are damped more weakly, or whose periods are much longer than 2 pi.
@@ -418,8 +418,8 @@ class RunRecord(NamedTuple):
     - `peaks`: times of the maxima of every displacement, NaN where none.
     - `point_times`, `points`: when the reference mass was at a maximum, and the state
       (x_1 .. x_n, v_1 .. v_n) then; of forced cells at multiples of the forcing period.
-    - `sizes`: the greatest amplitude over the cells, of each number of a cell; of masses only that
-      of the displacement.
+    - `sizes`: the greatest amplitude over the cells, of each variable of a cell; of masses only
+      that of the displacement.
     """
 
     t: Float[_Numbers, "*batch W"]
@@ -527,8 +527,8 @@ def symmetry_defect(
         difference = (first - first[:, image])[:, moved] / period
         shifts = (0.0,) if np.any(active & ~moved) else (0.0, 0.5)
         for shift in shifts:
-            turns = difference - shift
-            motions.append(np.max(np.abs(turns - np.round(turns)), axis=1, initial=0.0))
+            windings = difference - shift
+            motions.append(np.max(np.abs(windings - np.round(windings)), axis=1, initial=0.0))
     if not motions:
         return np.full(len(first), np.nan)
     return min(motions, key=lambda series: series[0])
@@ -659,11 +659,15 @@ def measure_exponents(
 # An exponent within this number of its errors counts as zero.
 _NEUTRAL = 10.0
 # Closed orbits found from one state: the reference mass, a point of the section, the orbit.
-Known = list[tuple[int, np.ndarray, RefinedOrbit]]
+KnownOrbits = list[tuple[int, np.ndarray, RefinedOrbit]]
 
 
 def judge_orbit(
-    task: _VerdictTask, criteria: Criteria, trial: VerdictRun, record: RunRecord, orbits: Known
+    task: _VerdictTask,
+    criteria: Criteria,
+    trial: VerdictRun,
+    record: RunRecord,
+    orbits: KnownOrbits,
 ) -> Evidence:
     """The evidence of a run with its record, and whether it is decided.
 
@@ -817,13 +821,13 @@ def verdicts(
     """A verdict for each of several initial states of a chain, with all their runs at once.
 
     Every state is run without noise, and `seeds` times with each level of `noise` added to
-    displacements and velocities, or to all m numbers of other cells.  A run continues, doubling
+    displacements and velocities, or to all m variables of other cells.  A run continues, doubling
     its time, until it is steady or approaches a periodic orbit that Newton's method has found, at
     most to `longest`.  The leading exponents are measured for runs that never close.
 
     A forced motion (see `AbstractCells.forcing_period`) is examined at multiples of the period of
     the force, and is periodic if it repeats after one to four of them, or if all its exponents
-    are negative.  Without forcing, states at the maxima of the first number of a cell are
+    are negative.  Without forcing, states at the maxima of the first variable of a cell are
     examined; if only other numbers move, and for an angle that grows, the exponents decide.
 
     **Arguments:**
@@ -905,7 +909,7 @@ def verdicts(
         count=min(int(count), sum(part.size for part in first_state)),
     )
     lanes = min(lanes, len(trials))
-    orbits: list[Known] = [[] for _ in states[0]]
+    orbits: list[KnownOrbits] = [[] for _ in states[0]]
 
     def advance_and_judge(going: list[VerdictRun], stage: float, *, again: bool = False) -> None:
         for trial, record in advance(task, lanes, going, stage):

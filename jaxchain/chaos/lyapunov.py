@@ -123,8 +123,8 @@ def batch_error(
     square = jnp.sum(apart**2, axis=0)
     product = jnp.sum(apart[1:] * apart[:-1], axis=0)
     repeats = jnp.where(square > 0, product / jnp.where(square > 0, square, 1.0), 0.0)
-    held = jnp.clip(repeats, 0.0, 0.99)
-    variance = square / (number - 1) / number * (1.0 + held) / (1.0 - held)
+    correlation = jnp.clip(repeats, 0.0, 0.99)
+    variance = square / (number - 1) / number * (1.0 + correlation) / (1.0 - correlation)
     return jnp.sqrt(variance), repeats
 
 

@@ -78,11 +78,11 @@ def _singularity_jvp(primals: Any, tangents: Any, *, residual: Any) -> tuple[Arr
     z, args, borders = primals
     phi, psi, _ = _bordered(_state_slope(residual, z, args), borders)
 
-    def frozen(z: Array, args: Any) -> Array:
+    def with_fixed_vectors(z: Array, args: Any) -> Array:
         along = jax.jvp(lambda u: _value(residual(u, z[-1], args)), (z[:-1],), (phi,))[1]
         return -jnp.sum(psi * along)
 
-    _, tangent = eqx.filter_jvp(frozen, (z, args), tangents[:2])
+    _, tangent = eqx.filter_jvp(with_fixed_vectors, (z, args), tangents[:2])
     return _singularity(z, args, borders, residual=residual), tangent
 
 
@@ -176,8 +176,8 @@ def _fold_point(
     phi, psi, _ = _bordered(full[:, :-1], borders)
     psi = rows * psi
     share = jnp.sum(psi * full[:, -1] / rows) / jnp.sqrt(jnp.sum(psi**2))
-    turns = ~root.successful | (jnp.abs(share) > _LEAST_SLOPE)
-    result = SearchResult.where(turns, root.result, SearchResult.branches_cross)
+    is_fold = ~root.successful | (jnp.abs(share) > _LEAST_SLOPE)
+    result = SearchResult.where(is_fold, root.result, SearchResult.branches_cross)
     return FoldPoint(
         u=root.value[:-1],
         p=root.value[-1],

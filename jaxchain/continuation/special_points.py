@@ -50,7 +50,7 @@ class Segment(NamedTuple):
 
 
 class Located(NamedTuple):
-    """A zero of a test function: its place, the remaining share, and whether it is a zero.
+    """A zero of a test function: its point, the remaining share, and whether it is a zero.
 
     `slope`: d(test)/d(arclength) there; `error`: of p.
     """

@@ -43,13 +43,13 @@ _WEIGHT = 1.0 - _GRADING * np.cos(_PHASE)
 
 
 def one_mass(chain: Chain, mass: int) -> Chain:
-    """Mass `mass` alone, its neighbours held: K_jj is its stiffness."""
+    """Mass `mass` alone, its neighbours fixed: K_jj is its stiffness."""
 
     def of_mass(value: Any) -> Any:  # also a plain number, where a law is traced
         return value[mass] if jnp.ndim(value) == 1 else value  # a table is of two dimensions
 
-    held = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)
-    return map_numbers(of_mass, held).with_(n=1)
+    grounded = chain.with_(stiffness=chain.stiffness_diagonal(chain.n), coupling=None)
+    return map_numbers(of_mass, grounded).with_(n=1)
 
 
 def gain(chain: Chain, ratio: ScalarLike, belt_speed: ScalarLike) -> Float[Array, ""]:

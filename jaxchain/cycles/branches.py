@@ -41,7 +41,7 @@ from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..observers.amplitude import amplitude_variables
 from ..observers.base import renamed
 from ..result import Printed
@@ -51,9 +51,9 @@ from .floquet import (
     LimitCycle,
     as_orbit,
     check_orbit,
+    forcing_periods_of,
     is_trusted,
     orbit_multipliers,
-    turns_of,
 )
 from .shooting import Shooting, residual
 from .symmetry import (
@@ -67,7 +67,7 @@ from .symmetry import (
     label_of,
     ring_motions,
 )
-from .variational import Along, flow
+from .variational import ExtremesAndTrace, flow
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -117,12 +117,12 @@ class CyclePoint(Printed):
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
-        """The first number of each cell, of a chain the displacements."""
+        """The first variable of each cell, of a chain the displacements."""
         return self.state[0]
 
     @property
     def v(self) -> Float[np.ndarray, " n"]:
-        """The second number of each cell, of a chain the velocities."""
+        """The second variable of each cell, of a chain the velocities."""
         return self.state[1]
 
     @property
@@ -238,7 +238,7 @@ def with_less_symmetry(
         _, state, period = shooting.unpack(z[:-1], z[-1])
         return jnp.append(full.pack(state, period, z[-1]), z[-1])
 
-    if shooting.turns is None:  # along the motion to the section
+    if shooting.forcing_periods is None:  # along the motion to the section
         field, start = full.at(p), tuple(map(jnp.asarray, point.state))
         pushes = tuple(jnp.asarray(part) for part in null.reshape(m, n))
 
@@ -295,12 +295,12 @@ def linearise(
 ) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
     """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
 
-    `parameter`: a number, or a tuple of those that `shooting.parameter` names.
+    `parameter`: the value of `shooting.parameter`, or a tuple of values if it names several.
     """
     parameters = parameter if isinstance(parameter, tuple) else (parameter,)
     r, jacobian, whole = shooting.linearise(u, *parameters)
     field, state, period = shooting.unpack(u, *parameters)
-    f = None if shooting.turns else jnp.concatenate(field(0.0, state))
+    f = None if shooting.forcing_periods else jnp.concatenate(field(0.0, state))
     floquet = orbit_multipliers(whole.monodromy, f)
     sound = field.can_be_cycle(period, whole.fastest)
     extra = CycleLinearisation(
@@ -333,7 +333,12 @@ def _cycles_at(u: Any, parameters: Any, shooting: Shooting) -> tuple[Any, Array,
     def one(u: Array, parameters: Array) -> tuple[State, Array, Array]:
         field, state, period = shooting.unpack(u, *parameters)
         _, _, ((low, high, _, _),) = flow(
-            field, state, period, rtol=shooting.rtol, solver=shooting.solver, observers=[Along()]
+            field,
+            state,
+            period,
+            rtol=shooting.rtol,
+            solver=shooting.solver,
+            observers=[ExtremesAndTrace()],
         )
         return state, period, (high - low) / 2
 
@@ -451,7 +456,7 @@ def special_tests(
         speed = float(extra.speed)
         return 0.0 if abs(speed) < 1e-4 else speed
 
-    images, m, forced = shooting.images, shooting.m, shooting.turns is not None
+    images, m, forced = shooting.images, shooting.m, shooting.forcing_periods is not None
     symmetric = len(set(images)) < len(images) or shooting.shift is not None
     of: dict[str, Callable[[Any], float]] = {} if forced else {"hopf": vanishing}
     # One multiplier besides the trivial one is never negative.
@@ -466,8 +471,8 @@ def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
     """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
     m = shooting.size
     weights = np.full(m + 1, len(shooting.solved) ** -0.5)
-    weights[shooting.place] = 1.0
-    if shooting.turns is None:
+    weights[shooting.z_index] = 1.0
+    if shooting.forcing_periods is None:
         weights[m - 1] = 1.0
     weights[m] = 1.0 / (abs(p) or 1.0)
     return weights
@@ -511,12 +516,12 @@ class CycleBranch(Printed):
 
     @property
     def x(self) -> Float[np.ndarray, "k n"]:
-        """The first number of each cell, of a chain the displacements."""
+        """The first variable of each cell, of a chain the displacements."""
         return self.state[0]
 
     @property
     def v(self) -> Float[np.ndarray, "k n"]:
-        """The second number of each cell, of a chain the velocities."""
+        """The second variable of each cell, of a chain the velocities."""
         return self.state[1]
 
     @property
@@ -563,7 +568,7 @@ class CycleBranch(Printed):
         }
 
     def _named(self, states: list[np.ndarray]) -> Iterator[tuple[str, np.ndarray, str]]:
-        """Name, values and unit of each number of a cell."""
+        """Name, values and unit of each variable of a cell."""
         field = self.shooting.field
         for i, part in enumerate(states):
             yield field.variable(i).name, part, field.variable(i).unit
@@ -684,7 +689,7 @@ class CycleBranch(Printed):
                 "images": json.dumps(shooting.images),
                 "shift": json.dumps(shooting.shift),
                 "symmetry": self.symmetry,
-                **circumstances(),
+                **environment(),
             },
         )
 
@@ -709,7 +714,7 @@ def continue_cycle(
     tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> CycleBranch:
-    """Follows a cycle as a number of the chain changes, around folds, with stability.
+    """Follows a cycle as a parameter of the chain changes, around folds, with stability.
 
     Pseudo-arclength continuation (`continue_branch`) of the shooting equations, with a section at
     the greatest velocity of one mass, in the coordinates u = (x_n, z_n = asinh(w_n / eps), ln T).
@@ -762,14 +767,17 @@ def continue_cycle(
     mass = int(as_mass(n, mass, int(jnp.argmax(field.belt_direction() * velocity))))
     p = float(as_parameter(field, parameter))
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
-    (images, shift), turns = as_symmetry(images, field, state, mass), turns_of(field, period)
-    shooting = Shooting(field, rtol, solver, mass, images, parameter, len(state), turns, shift)
+    images, shift = as_symmetry(images, field, state, mass)
+    forcing_periods = forcing_periods_of(field, period)
+    shooting = Shooting(
+        field, rtol, solver, mass, images, parameter, len(state), forcing_periods, shift
+    )
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
-        heading[shooting.place] = 1.0 if direction == "stick" else -1.0
+        heading[shooting.z_index] = 1.0 if direction == "stick" else -1.0
     options = {
         "step": step,
         "min_step": min_step,
@@ -859,7 +867,7 @@ def _follow(
     less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
     weights, tests = cycle_weights(shooting, p), special_tests(shooting, motions)
-    first, forced = True, shooting.turns is not None
+    first, forced = True, shooting.forcing_periods is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
         nonlocal first
@@ -917,7 +925,7 @@ def _follow(
             kind, subgroups = point.kind, ()
             if kind.startswith(_BREAKING):
                 kind, subgroups = _BREAKING, symmetries_of(e, shooting, motions)
-                if any(other.kind == kind and _same_place(other, point) for other in special):
+                if any(other.kind == kind and _same_point(other, point) for other in special):
                     continue  # it was seen in other disturbances, too
             special.append(CyclePoint(kind, point.p, *orbit, *how, subgroups))
     # The last point may be its own mirror image, or no cycle.
@@ -941,7 +949,7 @@ def _follow(
     )
 
 
-def _same_place(one: CyclePoint, other: SpecialPoint) -> bool:
+def _same_point(one: CyclePoint, other: SpecialPoint) -> bool:
     apart = abs(one.parameter - other.p)
     return apart <= max(one.error, other.error, 1e-8 * abs(other.p)) and (
         abs(one.raw.index - other.index) <= 1
@@ -949,7 +957,7 @@ def _same_place(one: CyclePoint, other: SpecialPoint) -> bool:
 
 
 def _scaled_peak_velocity(shooting: Shooting, u: np.ndarray) -> np.ndarray:
-    s = np.sinh(u[:, shooting.place])
+    s = np.sinh(u[:, shooting.z_index])
     field = shooting.field
     switches = field.switching(0.0, jnp.zeros(shooting.n)) is not None
     return s if switches else np.full_like(s, np.nan)

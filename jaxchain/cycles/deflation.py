@@ -117,14 +117,14 @@ def _crossings(shooting: Shooting, images: Any, period: Array) -> Float[Array, "
 
     A forced cycle is cut at every period of the force.
     """
-    turns, forced = shooting.turns, shooting.field.forcing_period()
+    forcing_periods, forced = shooting.forcing_periods, shooting.field.forcing_period()
     watch = Section(shooting.mass, _POINTS, of="velocity")
-    if turns is not None:
-        watch = Trajectory(to_float(forced) * jnp.arange(turns))
+    if forcing_periods is not None:
+        watch = Trajectory(to_float(forced) * jnp.arange(forcing_periods))
 
     def of(state: State) -> Array:
         parts = watched(shooting.field, state, 1.05 * period, watch)
-        parts = parts[1:] if turns is None else parts
+        parts = parts[1:] if forcing_periods is None else parts
         return jax.vmap(lambda *point: shooting.pack(point, period))(*parts)
 
     return jax.lax.map(of, images)
@@ -158,7 +158,7 @@ def random_starts(
 ) -> tuple[tuple[Array, ...], Float[np.ndarray, " starts"]]:
     """States in which random masses vibrate with random phases, and the period of one mass.
 
-    Mass `mass` vibrates as it does while its neighbours are held, and so does each of the others
+    Mass `mass` vibrates as it does while its neighbours are fixed, and so does each of the others
     with probability 1/2, at a random phase; the rest slide steadily.
 
     **Returns:** ((x, v), both of shape (count, n), periods of shape (count,)).
@@ -243,8 +243,8 @@ def find_limit_cycles(
     check_flag("progress", progress)
     wanted = "a sequence of `LimitCycle`s"
     check_kind("known", known, Iterable, wanted, "() if none is known.")
-    for place, cycle in enumerate(known := list(known)):
-        check_kind(f"known[{place}]", cycle, LimitCycle, "a `LimitCycle`")
+    for i, cycle in enumerate(known := list(known)):
+        check_kind(f"known[{i}]", cycle, LimitCycle, "a `LimitCycle`")
     if isinstance(guesses, int) and not isinstance(guesses, bool):
         ring = as_chain(
             model, remedy="give `guesses` = (states, periods) for other models.", name="model"
@@ -257,7 +257,7 @@ def find_limit_cycles(
     mass = int(as_mass(n, mass, reference_site(n)))
     one = tuple(part[0] for part in states)
     forced = model.forcing_period()
-    turns = None
+    forcing_periods = None
     if forced is not None:
         every = np.unique(np.round(periods / float(forced)))
         if len(every) > 1 or not np.allclose(periods, every[0] * float(forced)) or every[0] < 1:
@@ -265,11 +265,11 @@ def find_limit_cycles(
                 f"Argument `guesses` has the periods {np.unique(periods)}, but they must be one "
                 f"multiple of that of the force, {float(forced):g}."
             )
-        turns = int(every[0])
+        forcing_periods = int(every[0])
     solver = fit_linear_solve(Rodas5P(), model, float(rtol), state=one)
     images = as_images(None, n, mass)
-    shooting = Shooting(model, rtol, solver, mass, images, None, m, turns)
-    if turns is None:
+    shooting = Shooting(model, rtol, solver, mass, images, None, m, forcing_periods)
+    if forcing_periods is None:
         states = _on_the_section(shooting, states, jnp.asarray(periods))
     motions = ring_motions(model, one)
     points = [_points(shooting, cycle, motions) for cycle in known]

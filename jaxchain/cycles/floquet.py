@@ -326,23 +326,23 @@ def check_force(model: AbstractModel, state: State) -> None:
             )
 
 
-def turns_of(model: AbstractModel, period: Any) -> int | None:
-    """The period in periods of the force, or `ValueError`; None where nothing depends on time."""
+def forcing_periods_of(model: AbstractModel, period: Any) -> int | None:
+    """The number of periods of the force in `period`, or `ValueError`; None without forcing."""
     forced = model.forcing_period()
     if forced is None:
         return None
     if is_traced(period, forced):
         raise ValueError(
             "Argument `period` is traced, or the period of the force is, so that the number of "
-            "turns of the cycle is not known: give a forced `LimitCycle` as `guess`."
+            "forcing periods of the cycle is not known: give a forced `LimitCycle` as `guess`."
         )
-    turns = round(float(period) / float(forced))
-    if turns < 1 or abs(turns * float(forced) / float(period) - 1.0) > 1e-6:
+    forcing_periods = round(float(period) / float(forced))
+    if forcing_periods < 1 or abs(forcing_periods * float(forced) / float(period) - 1.0) > 1e-6:
         raise ValueError(
             f"Argument `period` is {float(period):.9g}, but the cells are forced with the period "
             f"{float(forced):.9g}: give a multiple of it, or leave `period` out."
         )
-    return turns
+    return forcing_periods
 
 
 # A mass that moves less counts as not moving.

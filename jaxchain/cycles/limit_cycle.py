@@ -73,15 +73,15 @@ from .floquet import (
     LEAST_VELOCITY,
     LimitCycle,
     check_orbit,
+    forcing_periods_of,
     is_trusted,
     liouville_defect,
     multiplier_resolution,
     orbit_multipliers,
-    turns_of,
 )
 from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .symmetry import CycleSymmetry, as_symmetry
-from .variational import Along, Period, Returned, Returns
+from .variational import ExtremesAndTrace, Period, Returned, Returns
 
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
@@ -89,7 +89,7 @@ _PEAKS = 12  # the number of velocity maxima to examine
 # The most steps of a dry run over a period, and of one to find a guess, each plus some for each
 # mass: a search may try absurd periods and laws.  Usual ones take some 15 per unit of time.
 _PERIOD_STEPS, _GUESS_STEPS, _STEPS_PER_TIME, _STEPS_PER_MASS = 4_000, 40_000, 150.0, 400
-_MOST_TURNS = 16  # the greatest period of a forced cycle, in periods of the force
+_MOST_FORCING_PERIODS = 16  # the greatest period of a forced cycle, in periods of the force
 _ROUNDING = 1e-9  # of the number of periods in a run
 
 
@@ -162,11 +162,11 @@ def guess_from_simulation(
     check_positive_number("duration", duration, "40 is some six periods.")
     mass = _cut_at(model, state, mass)
     watch = Section(mass, _PEAKS, to_float(transient), of="velocity")
-    return _last_turn(*watched(model, state, transient + duration, watch))
+    return _last_return(*watched(model, state, transient + duration, watch))
 
 
 @eqx.filter_jit
-def _last_turn(times: Array, *parts: Array) -> Guess:
+def _last_return(times: Array, *parts: Array) -> Guess:
     """The last state, and the time since the most similar earlier one."""
     last = jnp.sum(jnp.isfinite(times)) - 1
     before = last - 1 - jnp.arange(times.size - 1)  # one return ago, two, ...
@@ -180,20 +180,20 @@ def _last_turn(times: Array, *parts: Array) -> Guess:
 
 
 def _forced_guess(model: AbstractModel, state: State, transient: float) -> Guess:
-    """The state at the end of so many periods of the force, and after how many it comes back."""
+    """(the state after enough periods of the force, the time after which it returns)."""
     forced = to_float(model.forcing_period())
-    turns = max(2 * _MOST_TURNS, math.ceil(transient / float(forced)))
-    times = forced * jnp.arange(turns - _MOST_TURNS, turns + 1)
+    forcing_periods = max(2 * _MOST_FORCING_PERIODS, math.ceil(transient / float(forced)))
+    times = forced * jnp.arange(forcing_periods - _MOST_FORCING_PERIODS, forcing_periods + 1)
     how: Any = {"solver": _solver_of(model, state), "rtol": 1e-8, "throw": False}
     run = simulate(model, state, times[-1], observe=Trajectory(times), **how)
-    return _last_turn(times, *lax.stop_gradient(run.observed))
+    return _last_return(times, *lax.stop_gradient(run.observed))
 
 
 def _at_phase_0(model: AbstractModel, run: Simulation) -> State:
     """The state at the end of a run, or at the next multiple of the period of the force."""
     forced = to_float(model.forcing_period())
-    turns = jnp.ceil(run.t / forced - _ROUNDING)
-    t1 = jnp.maximum(turns * forced, run.t)
+    forcing_periods = jnp.ceil(run.t / forced - _ROUNDING)
+    t1 = jnp.maximum(forcing_periods * forced, run.t)
     solver = _solver_of(model, run.state)
     more = simulate(model, run.state, t1, t0=run.t, solver=solver, rtol=1e-8, throw=False)
     return lax.stop_gradient(more.state)
@@ -304,7 +304,7 @@ def solve_cycle(
         shooting, linearise, start, weights, limit=limit, fine=1e-11, closed=closed
     )
     field, state, period = shooting.unpack(end.u)
-    whole, mass, forced = end.aux, shooting.mass, shooting.turns is not None
+    whole, mass, forced = end.aux, shooting.mass, shooting.forcing_periods is not None
     # In the shooting equations velocities count by their distance from the belt's: a fast orbit
     # that decays, or a piece of one, is end there.  So the gap counts as a share of the
     # orbit's size, too.
@@ -354,14 +354,14 @@ def _cycle(
         shorter = (result == of.successful) & (fields["times_round"] > 1)
         result = of.where(shorter, of.other_kind, result)
     fields |= {"chain": chain, "state": state, "period": period, "mass": equations.mass}
-    return LimitCycle(result=result, turns=equations.turns, **fields)
+    return LimitCycle(result=result, turns=equations.forcing_periods, **fields)
 
 
 @eqx.filter_jit
 def with_derivatives(
     equations: Any, model: AbstractModel, cycle: LimitCycle, u: Array
 ) -> LimitCycle:
-    """`cycle` with its derivatives in the numbers of `model`."""
+    """`cycle` with its derivatives in the parameters of `model`."""
     equations = eqx.tree_at(lambda eqs: eqs.field, equations, model)
     unknowns = attach_derivative(_residual, jnp.concatenate([u, cycle.amplitude]), equations)
     _, state, period = equations.unpack(unknowns[: u.size])
@@ -436,7 +436,7 @@ class _States(eqx.Module):
     """The equations of a periodic orbit in its state and period, u = (x, v, T) for m = 2.
 
     Those of `closing` cut it where mass `mass` is fastest, or is released by the belt; a forced
-    orbit, whose period is `turns` periods of the force, at t = 0.
+    orbit, whose period is `forcing_periods` times that of the force, at t = 0.
     """
 
     field: Any
@@ -445,7 +445,7 @@ class _States(eqx.Module):
     m: int = eqx.field(static=True)
     n: int = eqx.field(static=True)
     mass: int = eqx.field(static=True, default=0)
-    turns: int | None = eqx.field(static=True, default=None)
+    forcing_periods: int | None = eqx.field(static=True, default=None)
 
     def pack(self, state: State, period: Array) -> Array:
         """u of a state and a period."""
@@ -455,13 +455,13 @@ class _States(eqx.Module):
         """(field, state, period)."""
         return self.field, tuple(jnp.split(u[:-1], self.m)), u[-1]
 
-    def run(self, u: Array, observe: Any, turns: Any = 1.0) -> Simulation:
-        """A run over one period, or a little more."""
+    def run(self, u: Array, observe: Any, periods: Any = 1.0) -> Simulation:
+        """A run over `periods` periods: one, or a little more."""
         field, state, period = self.unpack(u)
         return simulate(
             field,
             state,
-            turns * period,
+            periods * period,
             observe=observe,
             solver=self.solver,
             rtol=self.rtol,
@@ -473,14 +473,14 @@ class _States(eqx.Module):
         """(gaps of the return, and of the section or the period; the amplitudes)."""
         run, (field, state, period) = self.run(u, Amplitude()), self.unpack(u)
         gaps = [after - before for after, before in zip(run.state, state, strict=True)]
-        if self.turns is None:
+        if self.forcing_periods is None:
             last = _slipping(field, 0.0, state)[self.mass]
         else:
-            last = period - self.turns * to_float(field.forcing_period())
+            last = period - self.forcing_periods * to_float(field.forcing_period())
         return jnp.concatenate([*gaps, last[None]]), run.observed
 
 
-class _Seen(NamedTuple):
+class _RunResults(NamedTuple):
     """Further results of a run."""
 
     slopes: Float[Array, "two_n m"]  # of the state at the end, in the state and T
@@ -505,7 +505,7 @@ def _close(
 
     weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
-    def linearise(u: Array) -> tuple[Array, Factors, _Seen]:
+    def linearise(u: Array) -> tuple[Array, Factors, _RunResults]:
         slopes, (end, seen) = jax.jacfwd(end_of, has_aux=True)(u)
         f, corner = slopes[:, -1], jnp.zeros((1, 1))
         return_map = slopes[:, :-1] - jnp.eye(d)
@@ -514,7 +514,11 @@ def _close(
         else:
             return_map = return_map + _free_phases(chain, state, slopes[:, :-1], f)
         matrix = jnp.block([[return_map, f[:, None]], [f[None], corner]])
-        return jnp.append(end - u[:-1], 0.0), factorise(matrix, weights), _Seen(slopes, *seen)
+        return (
+            jnp.append(end - u[:-1], 0.0),
+            factorise(matrix, weights),
+            _RunResults(slopes, *seen),
+        )
 
     def closed(now: Iterate) -> Array:
         # A share of the size of the orbit.
@@ -571,12 +575,14 @@ def dry_cycle(
     """(the cycle of a dry model near a guess, its unknowns u), cut as `closing` does."""
     del limit
     chain, mass, of = equations.field, equations.mass, SearchResult
-    forced = equations.turns is not None
+    forced = equations.forcing_periods is not None
     orbit, returned, evaluations = _close(equations, state, period)
 
-    def once_round(state: State, turns: Array) -> tuple[State, tuple[State, State, Any]]:
+    def once_round(state: State, periods: Array) -> tuple[State, tuple[State, State, Any]]:
         cuts = [] if forced else [_Cuts(mass, 1, of="velocity")]
-        run = equations.run(equations.pack(state, orbit.period), [*cuts, Along()], turns)
+        run = equations.run(
+            equations.pack(state, orbit.period), [*cuts, ExtremesAndTrace()], periods
+        )
         *cut, along = run.observed
         for _, *parts in cut:
             state_there = on_the_belt(chain, 0.0, tuple(part[0] for part in parts))[0]
@@ -670,7 +676,7 @@ def continue_to_belt_speed(
 ) -> tuple[Guess | None, str]:
     """The cycle of one mass, of `kind`, at the belt speed of `shooting.field`, by continuation.
 
-    It runs on the host.  Returns ((state, period) or None, the place where the branch turns or
+    It runs on the host.  Returns ((state, period) or None, the point where the branch turns or
     ends if it does not reach that speed).
     """
     chain: Any = shooting.field
@@ -784,9 +790,9 @@ def find_limit_cycle(
 
     **Returns:** a `LimitCycle` with its minimal period: a multiple (up to 16) of the minimal
     period is detected, and the minimal one is solved for instead.  State, period, amplitude and
-    energy have derivatives in every number of the chain, forward and in reverse; the other fields
-    are constant. It works under `vmap` and `jit`; there `throw` has no effect, and without a guess
-    only the given belt speed is tried.
+    energy have derivatives in every parameter of the chain, forward and in reverse; the other
+    fields are constant. It works under `vmap` and `jit`; there `throw` has no effect, and without
+    a guess only the given belt speed is tried.
 
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
     equilibrium is never returned as a cycle.  A family, such as cycles without any damping, or
@@ -809,36 +815,37 @@ def find_limit_cycle(
     check_tolerances(rtol, None, MAX_STEP)
     check_flag("throw", throw)
     limit = check_tolerance(tolerance, max_steps)
-    frozen = lax.stop_gradient(model)
+    fixed = lax.stop_gradient(model)
     if model.n is not None and (m := len(model.variables)):  # before anything long starts
-        as_symmetry(images, frozen, (jnp.zeros(model.n),) * m)
-    mass, state, period = resolve_guess(frozen, guess, period, mass, branch, throw)
-    images, shift = as_symmetry(images, frozen, state, mass)
+        as_symmetry(images, fixed, (jnp.zeros(model.n),) * m)
+    mass, state, period = resolve_guess(fixed, guess, period, mass, branch, throw)
+    images, shift = as_symmetry(images, fixed, state, mass)
 
     def failed(cycle: LimitCycle) -> bool:
         return not is_traced(cycle.successful) and not cycle.successful
 
-    m, n, forced = len(state), state[0].shape[0], frozen.forcing_period() is not None
-    turns = guess.turns if forced and isinstance(guess, LimitCycle) else None
-    turns = turns_of(frozen, period) if turns is None else turns
+    m, n, forced = len(state), state[0].shape[0], fixed.forcing_period() is not None
+    forcing_periods = guess.turns if forced and isinstance(guess, LimitCycle) else None
+    if forcing_periods is None:
+        forcing_periods = forcing_periods_of(fixed, period)
     if model.dry:
         solve = dry_cycle
-        equations = _States(frozen, to_float(rtol), EventDriven(), m, n, mass, turns)
+        equations = _States(fixed, to_float(rtol), EventDriven(), m, n, mass, forcing_periods)
     else:
         given = 1e-9 if is_traced(rtol) else float(rtol)
-        solver = fit_linear_solve(Rodas5P(), frozen, given, state=state)
+        solver = fit_linear_solve(Rodas5P(), fixed, given, state=state)
         solve = solve_cycle
-        equations = Shooting(frozen, rtol, solver, mass, images, None, m, turns, shift)
+        equations = Shooting(fixed, rtol, solver, mass, images, None, m, forcing_periods, shift)
     reason = ""
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))
     cycle, u = solve(equations, *start, *numbers)  # pyright: ignore[reportArgumentType]
     while not is_traced(cycle) and cycle.turns and cycle.successful:
-        turns, rest = divmod(cycle.turns, int(cycle.times_round))
-        if turns == cycle.turns or rest:
+        forcing_periods, rest = divmod(cycle.turns, int(cycle.times_round))
+        if forcing_periods == cycle.turns or rest:
             break
         # It has come back after a share of the given multiple of the force's period.
-        equations = replace(equations, turns=turns)
+        equations = replace(equations, forcing_periods=forcing_periods)
         cycle, u = solve(equations, cycle.state, cycle.period, *numbers)  # pyright: ignore[reportArgumentType]
     if guess is None:
         cycle = keep_kind(cycle, branch)
@@ -850,7 +857,7 @@ def find_limit_cycle(
         cycle = with_derivatives(equations, model, cycle, u)
     if throw and failed(cycle):
         raise RuntimeError(
-            _failure(cycle) if guess is not None else _missing(frozen, branch, reason)
+            _failure(cycle) if guess is not None else _missing(fixed, branch, reason)
         )
     return cycle
 
@@ -890,7 +897,7 @@ def resolve_guess(
         if model.forcing_period() is not None:
             if period is None:
                 state, period = _forced_guess(model, state, transient)
-            turns_of(model, period)
+            forcing_periods_of(model, period)
             period = to_float(period)
         elif period is None:
             state, period = guess_from_simulation(model, state, mass, transient=transient)

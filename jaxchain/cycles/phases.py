@@ -12,7 +12,7 @@ at the start and the durations tau_k of the phases as unknowns a cycle solves
 | peak | w_i' = 0 |
 | turn | r_i' = 0 of a mass that sticks |
 
-These equations are smooth in the numbers of the chain, also where a mass only just touches the
+These equations are smooth in the parameters of the chain, also where a mass only just touches the
 belt speed or the static limit, so that such a cycle needs one more of them:
 
 | kind | at | one more equation |
@@ -46,7 +46,7 @@ from ..simulation.run import simulate
 from ..solvers.dormand_prince import step as step_of_order_8
 from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion
 from .averaging import graded
-from .floquet import turns_of
+from .floquet import forcing_periods_of
 from .shooting import Shooting
 
 KINDS = ("grazing", "release", "stick onset")
@@ -59,7 +59,7 @@ _ACCURATE = 1e-8
 _VALUES = ("landing", "peak", "release", "turn")
 
 
-class Seen(NamedTuple):
+class CycleProperties(NamedTuple):
     """Further results of a cycle.
 
     - `state` at the start, `period`; `speed`: |v| there of the mass that is cut, of a slip cycle,
@@ -90,7 +90,7 @@ class Phases(eqx.Module):
       landing is a "stick onset"); `onsets`: (event, mass, -1 if it sticks there) of landings that
       are no image of the special event; `alike`: the masses that move like that of the special
       event.
-    - `parameter`, `m`, `turns`: as in `Shooting`; `steps` in each phase.
+    - `parameter`, `m`, `forcing_periods`: as in `Shooting`; `steps` in each phase.
     """
 
     field: Any
@@ -103,7 +103,7 @@ class Phases(eqx.Module):
     alike: tuple[int, ...] = eqx.field(static=True, default=())
     steps: int = eqx.field(static=True, default=_STEPS)
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
-    turns: int | None = eqx.field(static=True, default=None)
+    forcing_periods: int | None = eqx.field(static=True, default=None)
 
     at = Shooting.at
 
@@ -115,7 +115,7 @@ class Phases(eqx.Module):
     @property
     def size(self) -> int:
         """The number of unknowns."""
-        return self.m * self.n + (self.turns is not None) + len(self.events)
+        return self.m * self.n + (self.forcing_periods is not None) + len(self.events)
 
     @property
     def slips(self) -> bool:
@@ -145,9 +145,9 @@ class Phases(eqx.Module):
         mode = list(modes[k - 1])
         mode[mass] = after[mass]
         modes[k], (events[k - 1], events[k]) = tuple(mode), (events[k], events[k - 1])
-        place = {k: (k - 1) % count, (k - 1) % count: k}
-        special = self.special and (place.get(self.special[0], self.special[0]), *self.special[1:])
-        onsets = tuple((place.get(at, at), *rest) for at, *rest in self.onsets)
+        moved = {k: (k - 1) % count, (k - 1) % count: k}
+        special = self.special and (moved.get(self.special[0], self.special[0]), *self.special[1:])
+        onsets = tuple((moved.get(at, at), *rest) for at, *rest in self.onsets)
         changed = {"events": tuple(events), "modes": tuple(modes), "special": special}
         return replace(self, onsets=onsets, **changed)
 
@@ -159,10 +159,10 @@ class Phases(eqx.Module):
         """(`residual`, (margins, error))."""
         field, state, period = self.unpack(u, *parameter)
         durations, d = u[-len(self.events) :], self.m * self.n
-        place, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
+        index, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
         modes = jnp.asarray(self.modes)
         scale = 1.0 + jnp.abs(field.belt_speed)
-        begin = u[d] if self.turns is not None else jnp.zeros(())
+        begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
 
         def parts(z: Array) -> tuple[Array, State]:
             return z[0], tuple(jnp.split(z[1:], self.m))
@@ -175,7 +175,7 @@ class Phases(eqx.Module):
 
             def contact(z: Array) -> tuple[Array, Array]:
                 t, y = parts(z)
-                return y[place] - field.belt_speed, free_force(field, t, y)
+                return y[index] - field.belt_speed, free_force(field, t, y)
 
             def near(z: Array) -> Array:
                 """How far each mass is from an event, in shares; the event is at 0."""
@@ -219,10 +219,10 @@ class Phases(eqx.Module):
 
         gap = z[1:] - u[:d]
         if self.slips:  # or steady sliding would be a solution
-            gap = gap / state[place][self.mass]
+            gap = gap / state[index][self.mass]
         gaps = [gap, *(value(k, e, sign)[None] for k, (e, _, sign) in enumerate(self.events))]
-        if self.turns is not None:
-            gaps.append((period - self.turns * to_float(field.forcing_period()))[None])
+        if self.forcing_periods is not None:
+            gaps.append((period - self.forcing_periods * to_float(field.forcing_period()))[None])
         if self.special is not None:
             k, kind, sign = self.special
             gaps.append(value(k, "landing" if kind == "grazing" else "release", sign)[None])
@@ -230,7 +230,7 @@ class Phases(eqx.Module):
         return jnp.concatenate(gaps), (margins, jnp.sum(errors))
 
     def _margins(self, values: Array, highest: Array, durations: Array, limit: Array) -> Array:
-        """See `Seen`."""
+        """See `CycleProperties`."""
         stick, none = jnp.asarray(self.modes) == STICK, jnp.asarray([-1.0])
         onset = [s * (1.0 - jnp.abs(values[k, 2, i]) / limit[i]) for k, i, s in self.onsets]
         apart = [-durations[k] / jnp.sum(durations) for k, far in enumerate(self.apart) if far]
@@ -243,8 +243,8 @@ class Phases(eqx.Module):
 
     def linearise(
         self, u: Float[Array, " m"], *parameter: Any
-    ) -> tuple[Float[Array, " equations"], Float[Array, "equations more"], Seen]:
-        """(`residual`, its slopes in u and the parameters, `Seen`)."""
+    ) -> tuple[Float[Array, " equations"], Float[Array, "equations more"], CycleProperties]:
+        """(`residual`, its slopes in u and the parameters, `CycleProperties`)."""
         z = jnp.append(u, jnp.stack(parameter)) if parameter else u
 
         def both(z: Array) -> tuple[Array, Any]:
@@ -265,7 +265,7 @@ class Phases(eqx.Module):
         speed = jnp.abs(u[j]) if self.slips else jnp.inf * period
         below = jnp.sign(field.belt_speed) * (field.belt_speed - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
-        return gaps, slopes, Seen(state, period, speed, below, sound, margins, rho)
+        return gaps, slopes, CycleProperties(state, period, speed, below, sound, margins, rho)
 
 
 def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
@@ -369,7 +369,7 @@ def phases_of(
         alike=tuple(alike),
         steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
         m=len(state),
-        turns=turns_of(chain, period),
+        forcing_periods=forcing_periods_of(chain, period),
     )
     return phases, jnp.asarray(u)
 

@@ -14,12 +14,12 @@ every width of the smoothed friction:
 Unknowns u = (x_n for n != j, z_n for all n, ln T): 2n numbers, for 2n equations (return of x and
 of of z).  If forces depend on displacement other than by -K x, x_j is not explicit: it is one more
 unknown, in its place among the x_n, and its acceleration at the cut is one more equation.  The
-same holds for other cells, whose m numbers are all unknown; z replaces their number `contact`.
+same holds for other cells, whose m variables are all unknown; z replaces their variable `contact`.
 
 An orbit with x_motion[n](t + T / k) = x_n(t), a `shift`, returns after T / k already, moved.
 
-A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N numbers
-are the only unknowns, and their return gives the only equations.
+A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N
+variables are the only unknowns, and their return gives the only equations.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Shooting(eqx.Module):
     - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, a tuple of
       several, or None.
     - `m`: the number of variables of a cell.
-    - `turns`: the period of a forced orbit in periods of the force; None without forcing.
+    - `forcing_periods`: the number of periods of the force in the orbit's; None without forcing.
     - `shift`: (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), or None.
     """
 
@@ -69,7 +69,7 @@ class Shooting(eqx.Module):
     images: tuple[int, ...] = eqx.field(static=True)
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
     m: int = eqx.field(static=True, default=2)
-    turns: int | None = eqx.field(static=True, default=None)
+    forcing_periods: int | None = eqx.field(static=True, default=None)
     shift: Shift | None = eqx.field(static=True, default=None)
 
     @property
@@ -90,7 +90,7 @@ class Shooting(eqx.Module):
     @property
     def balanced(self) -> bool:
         """Whether x_j is explicit, from the balance of forces at the cut."""
-        return self.turns is None and self.field.balanced(self.n)
+        return self.forcing_periods is None and self.field.balanced(self.n)
 
     @property
     def others(self) -> list[int]:
@@ -98,20 +98,20 @@ class Shooting(eqx.Module):
         return [n for n in self.solved if n != self.mass or not self.balanced]
 
     @property
-    def place(self) -> int:
+    def z_index(self) -> int:
         """The index of z_j in u."""
         return self._starts[min(self.field.contact, self.m - 1)] + self.solved.index(self.mass)
 
     @property
     def _starts(self) -> list[int]:
-        """The index in u at which each of the m numbers begins, and the end of the last one."""
+        """The index in u at which each of the m variables begins, and the end of the last one."""
         count = len(self.others)
         return [0, *(count + k * len(self.solved) for k in range(self.m))]
 
     @property
     def size(self) -> int:
         """The number of unknowns."""
-        return self._starts[-1] + (self.turns is None)
+        return self._starts[-1] + (self.forcing_periods is None)
 
     def at(self, *parameter: Any) -> AbstractModel:
         """The field with the parameter, or several, set."""
@@ -131,7 +131,7 @@ class Shooting(eqx.Module):
             parts[contact] = jnp.arcsinh((parts[contact] - belt) / width)
         rows = [self.others, *[self.solved] * (self.m - 1)]
         numbers = [part[jnp.asarray(row, int)] for part, row in zip(parts, rows, strict=True)]
-        if self.turns is None:
+        if self.forcing_periods is None:
             numbers.append(jnp.log(to_float(period))[None])
         return jnp.concatenate(numbers)
 
@@ -140,10 +140,10 @@ class Shooting(eqx.Module):
         field, starts = self.at(*parameter), self._starts
         position = {n: i for i, n in enumerate(self.solved)}
         index = jnp.asarray([position[i] for i in self.images])
-        if self.turns is None:
+        if self.forcing_periods is None:
             period = jnp.exp(u[-1])
         else:
-            period = self.turns * to_float(field.forcing_period())
+            period = self.forcing_periods * to_float(field.forcing_period())
         parts = [u[first:last] for first, last in itertools.pairwise(starts)]
         parts[1:] = [part[index] for part in parts[1:]]
         if not self.balanced:
@@ -237,7 +237,7 @@ class Shooting(eqx.Module):
             # To first order a gap of z, but linear in v, for convergence far from the orbit.
             gaps[contact] = gaps[contact] / jnp.hypot(state[contact] - belt, width)
         gaps = jnp.concatenate([gap[rows] for gap in gaps])
-        if self.turns is not None:
+        if self.forcing_periods is not None:
             return gaps
         if not self.balanced:
             gaps = jnp.append(gaps, field.second_rate(0.0, state)[self.mass])
@@ -280,8 +280,8 @@ def newton_minimal_period(
     or no longer helps, halved down to `least_damping`.  If the orbit also returns after a fraction
     of its period, it is solved for again with that fraction (with at most `limit` integrations),
     and the result is kept if it is the same orbit.  A forced orbit keeps a multiple of the period
-    of the force, and its whole period if the equations have `turns`.  `equations` have `pack`,
-    `unpack` and `turns`; `aux` of `linearise` has `returned`, a `Returned`.
+    of the force, and its whole period if the equations have `forcing_periods`.  `equations` have
+    `pack`, `unpack` and `forcing_periods`; `aux` of `linearise` has `returned`, a `Returned`.
     """
     # Traced once, for its shapes and for the loop.
     linearise = eqx.filter_closure_convert(linearise, start)
@@ -300,10 +300,10 @@ def newton_minimal_period(
         good = (now.best.evaluations == 0) | same
         best = where(good, end, now.best)._replace(evaluations=count)
         times = returned.times_round
-        again = good & closed(end) & (times > 1) & (equations.turns is None)
+        again = good & closed(end) & (times > 1) & (equations.forcing_periods is None)
         if (forced := field.forcing_period()) is not None:
-            turns = period / times / forced
-            again &= jnp.abs(turns - jnp.round(turns)) < 1e-6
+            forcing_periods = period / times / forced
+            again &= jnp.abs(forcing_periods - jnp.round(forcing_periods)) < 1e-6
         return _Round(best, equations.pack(state, period / times), again)
 
     first = _Round(nothing, start, jnp.asarray(True))

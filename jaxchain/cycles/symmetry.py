@@ -224,10 +224,10 @@ def label_of(
 ) -> str:
     """The name of the subgroup that leaves cycles with this symmetry unchanged."""
     kept, sites = [np.array(at) for at in elements(motions, images, shift)], np.arange(len(images))
-    turns = [at for at in kept if np.array_equal(at, (at[0] + sites) % len(sites))]
+    rotations = [at for at in kept if np.array_equal(at, (at[0] + sites) % len(sites))]
     name = f"Z{len(kept)}"
-    if len(sites) > 2 and len(turns) < len(kept):
-        name = f"D{len(turns)}"
+    if len(sites) > 2 and len(rotations) < len(kept):
+        name = f"D{len(rotations)}"
     if name == "D1":
         (axis,) = (at for at in kept if not np.array_equal(at, sites))
         through = np.flatnonzero(axis == sites)
@@ -282,15 +282,15 @@ def finer(
     return sorted(found, key=lambda less: (-len(set(less[0])), less[1] is not None))
 
 
-def action(part: Any, shift: Shift | None, at: Iterable[int], turns: int, m: int) -> Any:
-    """The matrix of v -> (D v)[at], D over the time `turns` T / k; `part` is Q of `shift`.
+def action(part: Any, shift: Shift | None, at: Iterable[int], power: int, m: int) -> Any:
+    """The matrix of v -> (D v)[at], D over the time `power` T / k; `part` is Q of `shift`.
 
-    D = P^-turns Q^turns, P the motion of `shift`; without one k = 1 and Q = M.
+    D = P^-power Q^power, P the motion of `shift`; without one k = 1 and Q = M.
     """
-    Q = functools.reduce(operator.matmul, [part] * turns) if turns else np.eye(len(part))
+    Q = functools.reduce(operator.matmul, [part] * power) if power else np.eye(len(part))
     at, n = np.asarray(at), len(part) // m
     if shift is not None:
-        at = np.argsort(powers((shift[0], turns + 1))[-1])[at]
+        at = np.argsort(powers((shift[0], power + 1))[-1])[at]
     return Q.reshape(m, n, -1)[:, at].reshape(m * n, -1)
 
 

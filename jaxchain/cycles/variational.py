@@ -69,7 +69,7 @@ def forward_sensitivity(
     solver: AbstractStructuredRosenbrock,
     observers: Sequence[AbstractObserver] = (),
 ) -> Sensitivity:
-    """The state after a time, with its derivatives in the m numbers of `point`.
+    """The state after a time, with its derivatives in the m variables of `point`.
 
     The derivatives are those of the steps with fixed sizes; that in the time is the rate at the
     end.  Call it under `jit`.
@@ -203,7 +203,7 @@ class Returns(AbstractObserver):
 
 
 class Period(NamedTuple):
-    """One integration over a period: its end, its derivatives and its observed numbers.
+    """One integration over a period: its end, its derivatives and its observed values.
 
     - `end`: the state after the period, or after T / k, moved, if the orbit has a shift; `slopes`:
       its derivatives, (2n, m), the first 2n in the state.
@@ -231,8 +231,8 @@ class Period(NamedTuple):
         return self.slopes[:, : self.slopes.shape[0]]
 
 
-class Along(AbstractObserver):
-    """The observed numbers of `Period`; value (least x, greatest x, fastest, trace).
+class ExtremesAndTrace(AbstractObserver):
+    """The observed values of `Period`; value (least x, greatest x, fastest, trace).
 
     Turning points are located between steps, and the trace is integrated by Gauss's rule of five
     points in every step.  It has no derivatives; they would cost as much as the monodromy matrix.
@@ -247,8 +247,8 @@ class Along(AbstractObserver):
     def update(self, accumulator: Any, step: Step) -> Any:
         low, high, fastest, trace = lax.stop_gradient(accumulator)
         step = step.frozen()
-        turns, theta = step.turning_points()
-        extreme = jnp.where(turns, step.displacement(theta), step.y1[0])
+        has_extreme, theta = step.turning_points()
+        extreme = jnp.where(has_extreme, step.displacement(theta), step.y1[0])
         low = jnp.minimum(low, jnp.minimum(extreme, step.y1[0]))
         high = jnp.maximum(high, jnp.maximum(extreme, step.y1[0]))
         # In one batch, which compiles in a fifth of the time of five.
@@ -264,7 +264,7 @@ class Along(AbstractObserver):
 
 
 def _switching(field: AbstractModel, y: State) -> int | None:
-    """The number of a cell that is the velocity at which friction switches; None without one."""
+    """The index of the variable of a cell at whose value friction switches; None without one."""
     return None if field.layer(0.0, y) is None else min(field.contact, len(y) - 1)
 
 
@@ -310,7 +310,7 @@ def linearised_period(
     Of orbits with a `shift` the time of `make` is T / k.
     """
     end, slopes, seen, good = forward_sensitivity(
-        make, point, rtol=rtol, solver=solver, observers=[Along(), Returns(shift)]
+        make, point, rtol=rtol, solver=solver, observers=[ExtremesAndTrace(), Returns(shift)]
     )
     along, returned = jax.tree.map(lambda a: jnp.where(good, a, jnp.nan), seen)
     low, high, fastest, trace = along

@@ -212,8 +212,8 @@ class _FitProblem(eqx.Module):
     # The period of a signal, NaN for that of the chain: phases need not be followed.  With a start
     # the time up to which it is fitted, NaN for all.
     clock: Array = eqx.field(default_factory=lambda: jnp.asarray(jnp.nan))
-    # A number of theta that is not fitted: its place and value.
-    place: int | None = eqx.field(static=True, default=None)
+    # A number of theta that is not fitted: its index and value.
+    fixed_index: int | None = eqx.field(static=True, default=None)
     value: Array | None = None
     floor: Any = None  # see `search_floor`
 
@@ -247,8 +247,8 @@ class _FitProblem(eqx.Module):
     def at(self, z: Array) -> tuple[PyTree, Chain]:
         """theta, and the chain."""
         flat = z[: z.size - self.extra]
-        if self.place is not None and self.value is not None:
-            flat = jnp.insert(flat, self.place, self.value)
+        if self.fixed_index is not None and self.value is not None:
+            flat = jnp.insert(flat, self.fixed_index, self.value)
         theta = self.unravel(flat)
         return theta, self.change(self.chain, theta)
 
@@ -364,7 +364,7 @@ def profile(
             "others can compensate it: fix one of them."
         )
     problem = _FitProblem(chain, measurements, change, mass, unravel).with_floor(flat)
-    problem = replace(problem, place=int(place))
+    problem = replace(problem, fixed_index=int(place))
     return _profile(problem, found, flat, to_float(reach), points, to_float(confidence), steps)
 
 
@@ -378,13 +378,13 @@ def _profile(
     confidence: Array,
     steps: int,
 ) -> Profile:
-    place: Any = problem.place
-    error = jnp.sqrt(found.covariance[place, place])
-    values = flat[place] + error * reach * jnp.linspace(-1.0, 1.0, points)
+    index: Any = problem.fixed_index
+    error = jnp.sqrt(found.covariance[index, index])
+    values = flat[index] + error * reach * jnp.linspace(-1.0, 1.0, points)
 
     def best(value: Array) -> Array:
-        others = flat + found.covariance[place] / error**2 * (value - flat[place])
-        start = jnp.delete(others, place)
+        others = flat + found.covariance[index] / error**2 * (value - flat[index])
+        start = jnp.delete(others, index)
         if problem.extra:
             more = found.phase if found.start is None else jnp.concatenate(found.start)
             start = jnp.append(start, more)
@@ -395,7 +395,7 @@ def _profile(
         return _fit(fixed, start, steps)[0].chi_squared
 
     chi = lax.map(best, values)  # not `vmap`: whose compilation takes half as long again
-    root = jnp.sign(values - flat[place]) * jnp.sqrt(jnp.maximum(chi - found.chi_squared, 0.0))
+    root = jnp.sign(values - flat[index]) * jnp.sqrt(jnp.maximum(chi - found.chi_squared, 0.0))
     limit = jax.scipy.stats.norm.ppf(0.5 + 0.5 * confidence)
     # Values without a fit are left out: they come last, beyond all others.
     there = jnp.isfinite(root)

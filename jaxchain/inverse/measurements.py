@@ -61,7 +61,7 @@ _LEAST_SHARE = 0.01
 # Steps of a run, some 5,000 periods: a search may try laws for which they are very small.
 _MOST_STEPS = 500_000
 # How close to the speed of the belt a mass that sticks is.
-_HELD = 1e-6
+_STICKING = 1e-6
 What = Literal["displacement", "velocity", "friction_force"]
 
 
@@ -493,7 +493,7 @@ def _along(chain: Chain, signal: Signal, mass: int) -> Float[Array, " m"]:
             return chain.load * chain.friction.force(w)
         # Unlike in a cycle, it may be faster than the belt.
         slides = -jnp.sign(w) * chain.load * chain.law.coefficient(jnp.abs(w))
-        return jnp.where(jnp.abs(w) < _HELD, -chain.free_force(x, v), slides)
+        return jnp.where(jnp.abs(w) < _STICKING, -chain.free_force(x, v), slides)
 
     return jax.vmap(friction)(x, v)[:, mass]
 
@@ -536,8 +536,8 @@ class Waveform(eqx.Module):
             within = jnp.minimum(jnp.concatenate(nodes), self.period)  # rounding may go beyond
             x, v = self._run(Trajectory(within))
             k = _NODES[0]
-            held = jnp.abs(v[k:, mass] - chain.belt_speed) < _HELD
-            self.sound &= jnp.all(held) | (stick == 0.0)
+            sticking = jnp.abs(v[k:, mass] - chain.belt_speed) < _STICKING
+            self.sound &= jnp.all(sticking) | (stick == 0.0)
             slides = jax.vmap(partial(self._with_slope, sticks=False))(x[:k], v[:k])
             sticks = jax.vmap(partial(self._with_slope, sticks=True))(x[k:], v[k:])
             self.slip, self.parts = slip / self.period, ((slides, slip), (sticks, stick))
@@ -553,10 +553,10 @@ class Waveform(eqx.Module):
         within = jnp.mod(shares, 1.0)
         if self.chain.dry:
             slides = within < self.slip
-            places = within / self.slip, (within - self.slip) / (1.0 - self.slip)
+            positions = within / self.slip, (within - self.slip) / (1.0 - self.slip)
             parts = (
-                _cubic(jnp.clip(place, 0.0, 1.0), value, rate, length)
-                for place, ((value, rate), length) in zip(places, self.parts, strict=True)
+                _cubic(jnp.clip(position, 0.0, 1.0), value, rate, length)
+                for position, ((value, rate), length) in zip(positions, self.parts, strict=True)
             )
             found = jnp.where(slides, *parts)
         else:
@@ -603,15 +603,15 @@ class Waveform(eqx.Module):
 
 
 def _cubic(
-    place: Float[Array, " m"],
+    position: Float[Array, " m"],
     values: Float[Array, " k"],
     slopes: Float[Array, " k"],
     length: Array,
 ) -> Float[Array, " m"]:
-    """Hermite's interpolation between k equal steps over a length, at places from 0 to 1."""
+    """Hermite's interpolation between k equal steps over a length, at positions from 0 to 1."""
     cells = values.size - 1
-    i = jnp.clip(jnp.floor(place * cells), 0, cells - 1).astype(int)
-    u, h = place * cells - i, length / cells
+    i = jnp.clip(jnp.floor(position * cells), 0, cells - 1).astype(int)
+    u, h = position * cells - i, length / cells
     rise = values[i + 1] - values[i]
     a, b = h * slopes[i] - rise, rise - h * slopes[i + 1]
     return values[i] + u * rise + u * (1 - u) * ((1 - u) * a + u * b)
@@ -632,7 +632,7 @@ def log_likelihood(
     **Arguments:** as for `predict`; `phase` of a `Signal` of a limit cycle, None for the one that
     fits best (a profile likelihood).
 
-    **Returns:** a number with derivatives in every number of the chain, forward; NaN where the
+    **Returns:** a number with derivatives in every parameter of the chain, forward; NaN where the
     chain predicts no vibration or fold.  It works under `jit` and `vmap`.
 
     >>> import jax

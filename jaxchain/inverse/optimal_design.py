@@ -90,13 +90,13 @@ class _DesignPoint(eqx.Module):
     aim: Float[Array, ""]
     boundary: StabilityRange | Blow
 
-    def multiplier(self, held: Array, penalty: Array) -> Array:
-        return jnp.maximum(0.0, held + penalty * self.g)
+    def multiplier(self, last_multiplier: Array, penalty: Array) -> Array:
+        return jnp.maximum(0.0, last_multiplier + penalty * self.g)
 
-    def lagrangian(self, held: Array, penalty: Array) -> tuple[Array, Array]:
+    def lagrangian(self, last_multiplier: Array, penalty: Array) -> tuple[Array, Array]:
         """c + (m^2 - lambda^2) / (2 rho), with m = max(0, lambda + rho g), and its gradient."""
-        m = self.multiplier(held, penalty)
-        value = self.cost + (m**2 - held**2) / (2.0 * penalty)
+        m = self.multiplier(last_multiplier, penalty)
+        value = self.cost + (m**2 - last_multiplier**2) / (2.0 * penalty)
         return value, self.cost_slope + m * self.g_slope
 
 
@@ -105,7 +105,7 @@ class _DesignSearch(eqx.Module):
     step: Float[Array, " m"]  # from there
     length: Float[Array, ""]
     state: PyTree  # of the optimiser
-    held: Float[Array, ""]  # lambda
+    last_multiplier: Float[Array, ""]  # lambda
     penalty: Float[Array, ""]  # rho; NaN before the first point
     missing: Float[Array, ""]  # |m - lambda| / rho when lambda was last set
     residual: Float[Array, ""]
@@ -302,8 +302,8 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         steepness = jnp.sum(trial.g_slope**2)
         scaled = _PENALTY / jnp.where(steepness > 0, steepness, 1.0)
         penalty = jnp.where(first, scaled, now.penalty)
-        value, slope = trial.lagrangian(now.held, penalty)
-        before, before_slope = now.best.lagrangian(now.held, penalty)
+        value, slope = trial.lagrangian(now.last_multiplier, penalty)
+        before, before_slope = now.best.lagrangian(now.last_multiplier, penalty)
         # A step of an optimiser with momentum may increase the loss: accept it.
         descent = jnp.minimum(now.length * jnp.sum(before_slope * now.step), 0.0)
         limit = before + _ARMIJO * descent + _ROUNDING * (1.0 + jnp.abs(before))
@@ -312,17 +312,17 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         good = sound & (first | uphill | (value <= limit))
 
         best = where(good, trial, now.best)
-        m = best.multiplier(now.held, penalty)
-        _, slope = best.lagrangian(now.held, penalty)
+        m = best.multiplier(now.last_multiplier, penalty)
+        _, slope = best.lagrangian(now.last_multiplier, penalty)
         # Along the edges that are reached nothing is left to gain across them.
         off, _ = stay_inside(problem.margins, best.z, -slope)
-        missing, off = jnp.abs(m - now.held) / penalty, jnp.sqrt(jnp.sum(off**2))
+        missing, off = jnp.abs(m - now.last_multiplier) / penalty, jnp.sqrt(jnp.sum(off**2))
         # Early Lagrangians need no exact minimum.
         renew = good & (off <= jnp.maximum(0.3 * missing, 0.3 * tolerance))
         slow = renew & (missing > _ENOUGH * now.missing)
-        held = jnp.where(renew, m, now.held)
+        last_multiplier = jnp.where(renew, m, now.last_multiplier)
         new_penalty = jnp.where(slow, _GROWTH * penalty, penalty)
-        value, slope = best.lagrangian(held, new_penalty)
+        value, slope = best.lagrangian(last_multiplier, new_penalty)
         # Another Lagrangian: restart the optimiser.
         memory = where(renew, transform.init(zero), now.state)
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
@@ -340,7 +340,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
             step=jnp.where(good, step, now.step),
             length=jnp.where(good, 1.0, _SHRINKAGE * now.length),
             state=where(good, memory, now.state),
-            held=held,
+            last_multiplier=last_multiplier,
             penalty=new_penalty,
             missing=jnp.where(renew, missing, now.missing),
             residual=jnp.where(good, jnp.maximum(off, missing), now.residual),
@@ -359,7 +359,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
                 infinite, infinite, nothing, nothing, path, record, record),
     )  # fmt: skip
     best = last.best
-    _, slope = best.lagrangian(last.held, last.penalty)
+    _, slope = best.lagrangian(last.last_multiplier, last.penalty)
     _, bent = stay_inside(problem.margins, best.z, -slope)
     of = SearchResult
     result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
@@ -371,7 +371,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         cost=best.cost,
         range=best.boundary if isinstance(best.boundary, StabilityRange) else None,
         blow=best.boundary if isinstance(best.boundary, Blow) else None,
-        multiplier=best.multiplier(last.held, last.penalty),
+        multiplier=best.multiplier(last.last_multiplier, last.penalty),
         angle=_angle(best.cost_slope, -best.g_slope),
         residual=last.residual,
         result=result,

@@ -95,11 +95,11 @@ def _measure(
     times = t0 + (jnp.arange(windows) + 0.5) * length
     late = times - 0.5 * length >= t0 + transient
 
-    def one(place: Array) -> tuple[Array, Array, Array]:
-        valid = late & jnp.cumprod(apart(place, n)).astype(bool)
-        speed, error = mean_speed(times, place, valid, level=level)
+    def one(position: Array) -> tuple[Array, Array, Array]:
+        valid = late & jnp.cumprod(apart(position, n)).astype(bool)
+        speed, error = mean_speed(times, position, valid, level=level)
         last = jnp.max(jnp.where(valid, jnp.arange(windows), 0))
-        moved = place[last] - place[jnp.argmax(valid)]
+        moved = position[last] - position[jnp.argmax(valid)]
         return speed, error, jnp.where(jnp.any(valid), moved, jnp.nan)
 
     right, left = one(fronts.right), one(fronts.left)

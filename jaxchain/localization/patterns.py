@@ -46,7 +46,7 @@ _SAMPLES, _HARMONICS = 256, 8
 class PhaseModel(Printed, eqx.Module):
     """The phase model of vibrating neighbours on a homogeneous ring, from `phase_model`.
 
-    - `state` = (x, v), shape (1,), and `period`: the cycle of one mass, its neighbours held, at
+    - `state` = (x, v), shape (1,), and `period`: the cycle of one mass, its neighbours fixed, at
       its greatest velocity, where theta = 0.
     - `interaction` (h,): H(s) = Re sum_h c_h exp(i h s), h = 0, 1, ...; `quiet`: H_q.
     - `displacement` (h,): x(theta) in the same form; `chain`: the ring.

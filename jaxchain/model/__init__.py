@@ -11,7 +11,7 @@
 - `mechanical`: cells of several displacements, from matrices, springs, friction and forcing
 - `model`: what every model answers
 - `oscillators`: the base class of chains and of your own oscillators
-- `parameters`: the numbers of a chain and of friction: symbol, unit, sign, description
+- `parameters`: the parameters of a chain and of friction: symbol, unit, sign, description
 - `provenance`: the origin of numbers, as attributes of datasets
 - `ready_made`: seven models from the literature as cells
 - `sliding`: linear stability of steady sliding: damping, stiffness, eigenvalues

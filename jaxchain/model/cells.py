@@ -2,7 +2,7 @@
 
     y_n' = f(t, y_{n-1}, y_n, y_{n+1}; p_n),     n = 1 ... N.
 
-A state is a tuple of m arrays of shape (N,), one for each number of a cell, so that a rate is
+A state is a tuple of m arrays of shape (N,), one for each variable of a cell, so that a rate is
 written once and computed for all cells side by side.  A chain is the case m = 2, y = (x, v).
 """
 
@@ -37,23 +37,23 @@ class Linearisation(NamedTuple):
 
 
 class AbstractCells(AbstractModel):
-    """N cells with m numbers each, coupled to their nearest neighbours.
+    """N cells with m variables each, coupled to their nearest neighbours.
 
     y_n' = f(t, y_{n-1}, y_n, y_{n+1}; p_n).
 
-    A subclass gives `rate`.  Its numbers are fields: one number, or one per cell, of shape (n,).
-    A state is a tuple of m arrays of shape (n,), and `rate` gets three of them, so that it is
-    written for one cell and computes all of them.  JAX computes the derivatives, and jaxchain
-    detects which of the m numbers of a neighbour matter.
+    A subclass gives `rate`.  Its parameters are fields: one number, or one per cell, of shape
+    (n,). A state is a tuple of m arrays of shape (n,), and `rate` gets three of them, so that it
+    is written for one cell and computes all of them.  JAX computes the derivatives, and jaxchain
+    detects which of the m variables of a neighbour matter.
 
     `ends` is "cyclic", or "free": beyond a free end stands a copy of the last cell, so that
     forces that depend on differences between neighbours vanish there.  Override it by a static
-    field or a class attribute.  `components` names the m numbers; the first one is what observers
-    see unless they are given another `component`.
+    field or a class attribute.  `components` names the m variables; the first one is what
+    observers see unless they are given another `component`.
 
     Optional: `forcing_period` for cells whose rate depends on time; `switching` for a force that
-    turns round steeply with the velocity number `contact`; `equilibrium`, a state from which
-    searches for equilibria start.  All other methods are final.
+    changes its sign steeply with the velocity, the variable `contact`; `equilibrium`, a state from
+    which searches for equilibria start.  All other methods are final.
 
     !!! example
 
@@ -101,7 +101,7 @@ class AbstractCells(AbstractModel):
         check_cells(self, t, y)
 
     def dependence(self, y: State) -> Dependence:
-        """The numbers on which each rate depends, see `Dependence`."""
+        """The variables on which each rate depends, see `Dependence`."""
         return dependence(self, len(y), y[0].shape[0])
 
     def __call__(self, t: ScalarLike, y: State, args: object = None) -> State:
@@ -154,7 +154,7 @@ class AbstractCells(AbstractModel):
         return self.linearised(t, y).jacobian.to_dense(y[0].shape[0])
 
     def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
-        """tr J, the sum of the derivatives of every rate in its own number."""
+        """tr J, the sum of the derivatives of every rate in its own variable."""
         own = self.linearised(t, y).jacobian.own
         diagonal = [own[i][i] for i in range(len(y))]
         return sum((jnp.sum(part) for part in diagonal if part is not None), jnp.zeros(()))

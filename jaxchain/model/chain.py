@@ -83,7 +83,7 @@ class Chain(AbstractOscillators):
     - `normal_load`: p_n relative to the nominal load, one number or shape (n,); None is 1.
     - `ends`: "cyclic" (a ring) or "free".
 
-    Every number is a leaf of a pytree, so `jit`, `vmap`, `grad` and `jvp` work.
+    Every parameter is a leaf of a pytree, so `jit`, `vmap`, `grad` and `jvp` work.
     `chain.with_(belt_speed=...)` returns a changed copy.
 
     **Raises:** `ValueError` for a wrong shape or a non-finite or impossible value.  A damping
@@ -255,7 +255,7 @@ class Chain(AbstractOscillators):
         return *names, *self.friction.parameters()
 
     def check_parameter(self, name: str, values: Any) -> bool:
-        """Checks those of the chain; numbers of a law may depend on each other."""
+        """Checks those of the chain; parameters of a law may depend on each other."""
         if name in CHAIN:
             chain_number(name, values)
         return name in CHAIN
@@ -383,11 +383,12 @@ class Chain(AbstractOscillators):
         return self.stiffness + self.springs.row_sum(n)
 
     def with_(self, **changes: Any) -> Chain:
-        """A copy with other numbers; shapes may change, values may be traced.
+        """A copy with other parameters; shapes may change, values may be traced.
 
         It takes the names of the constructor, and for the friction `width`, `mu_static`,
         `mu_dynamic`, `v_ref` or any other field of the law.  A `width` smooths dry friction; None
-        makes it dry.  Of a number per mass it takes entries, `with_(**{"damping_ratio[3]": 0.1})`.
+        makes it dry.  Entries of a parameter per mass are
+        `with_(**{"damping_ratio[3]": 0.1})`.
 
         >>> from jaxchain import paper_chain
         >>> float(paper_chain().with_(belt_speed=1.2, width=1e-4).width)
@@ -411,13 +412,13 @@ class Chain(AbstractOscillators):
         return Chain(**fields)
 
     def parameters(self) -> dict[str, Array]:
-        """The numbers that `with_` takes by name, including those of the friction law."""
+        """The parameters that `with_` takes by name, including those of the friction law."""
         return {**self.friction.parameters(), **super().parameters()}
 
 
 # No method: equinox makes a module for each call of one.
 def _chain_numbers(chain: Chain) -> dict[str, Array | None]:
-    """The numbers of the chain without those of friction, by name."""
+    """The parameters of the chain without those of friction, by name."""
     return {name: getattr(chain, name) for name in CHAIN}
 
 
@@ -437,9 +438,9 @@ def chain_number(name: str, value: Any) -> Array:
 
 
 def margins(chain: Chain) -> dict[str, Array]:
-    """How far the numbers of a chain are inside their domain, by words for its edges.
+    """How far the parameters of a chain are inside their domain, by words for its edges.
 
-    They are at least 0 where `Chain` and its law accept the numbers, and where damping is not
+    They are at least 0 where `Chain` and its law accept the parameters, and where damping is not
     negative, and traceable: see `stay_inside` for searches that keep them so.
 
     >>> from jaxchain import paper_chain
@@ -452,9 +453,9 @@ def margins(chain: Chain) -> dict[str, Array]:
 
 
 def map_numbers(change: Callable[[Any], Any], part: Any) -> Any:
-    """A chain, or parts of one, with change(number) for each number, of all masses or one each.
+    """A chain, or parts of one, with change(value) for each parameter, of all masses or one each.
 
-    The weights of a neural network in a friction law are no such numbers.
+    The weights of a neural network in a friction law are no such parameters.
     """
     own = Chain | AbstractFriction | Springs
 
@@ -465,7 +466,7 @@ def map_numbers(change: Callable[[Any], Any], part: Any) -> Any:
 
 
 def spread_numbers(chain: Chain, like: Float[Array, " n"]) -> Chain:
-    """The chain with one number for each mass in place of one for all: see `spread`.
+    """The chain with one value for each mass in place of one for all: see `spread`.
 
     Springs stay as they are.
     """
@@ -494,7 +495,7 @@ def paper_chain(
     """The parameter set of the paper, eq. (7): xi 0.05, mu_d 0.5, mu_st 1, v_0 0.5, eta_c 0.01.
 
     **Arguments:** number of masses, dimensionless belt speed v_d, and the regularization width of
-    the friction law, or None for dry friction; any other number by its name in `Chain.with_`. A
+    the friction law, or None for dry friction; any other parameter by its name in `Chain.with_`. A
     single mass has no coupling.
 
     >>> import jax

@@ -3,7 +3,7 @@
 A law gives the friction coefficient at the sliding speed s = |w| >= 0, where w = v - v_d is the
 velocity of a mass relative to the belt. Everything is dimensionless: mu is friction force per
 normal load, and speeds are in units of x0 omega_n (`jaxchain.model.units`). Every parameter is one
-number, or one number per mass (shape (n,), for mistuned chains), and a leaf of a pytree: `jit`,
+number, or one per mass (shape (n,), for mistuned chains), and a leaf of a pytree: `jit`,
 `vmap`, `grad` and `jvp` work.
 """
 
@@ -142,11 +142,11 @@ class AbstractFriction(PrintedAsCall, eqx.Module):
 
     @abc.abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """The names and numbers that `with_` accepts, also that of a chain."""
+        """The names and values of the parameters that `with_` accepts, also `Chain.with_`."""
 
     @abc.abstractmethod
     def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers; a `width` smooths a law, and None makes friction dry."""
+        """A copy with other parameters; a `width` smooths a law, and None makes friction dry."""
 
     def force_and_slope(
         self, relative_velocity: Float[ArrayLike, "..."]
@@ -242,7 +242,7 @@ class AbstractFrictionLaw(AbstractFriction):
         return law if width is None else TanhFriction(law, width)
 
     def __check_init__(self) -> None:
-        # The laws of this module need no check beyond that of their numbers.
+        # The laws of this module need no check beyond that of their parameters.
         if type(self).__module__ != __name__ and not is_traced(self):
             per_mass = any(np.ndim(number) for number in self.parameters().values())
             mu = jax.vmap(self.coefficient) if per_mass else self.coefficient
@@ -401,12 +401,12 @@ class Coulomb(AbstractFrictionLaw):
 
 
 def as_law(law: Any) -> AbstractFrictionLaw:
-    """`law` with JAX arrays for all numbers: Python numbers have no tangents and are compiled in.
+    """`law` with JAX arrays for all parameters; Python numbers would have no tangents.
 
     A function in it, such as the activation of a neural network, becomes part of its structure.
 
     **Raises:** `ValueError` for anything but an `AbstractFrictionLaw`, and for a field with the
-    name of a number of the chain.
+    name of a parameter of the chain.
     """
     if not isinstance(law, AbstractFrictionLaw):
         raise ValueError(
@@ -487,7 +487,7 @@ class TanhFriction(AbstractFriction):
 
 
 def spread_friction(friction: Any, like: Float[Array, " n"]) -> Any:
-    """`friction` with one number for each mass in place of one for all: see `spread`.
+    """`friction` with one value for each mass in place of one for all: see `spread`.
 
     Laws of other modules, which may be written for single numbers, stay as they are.
     """
@@ -496,7 +496,7 @@ def spread_friction(friction: Any, like: Float[Array, " n"]) -> Any:
 
 
 def check_numbers(numbers: Mapping[str, Any]) -> None:
-    """Raises `ValueError` for a number outside its domain, see `model/parameters.py`."""
+    """Raises `ValueError` for a parameter outside its domain, see `model/parameters.py`."""
     for name, value in numbers.items():
         row = parameter(name)
         _SIGNS[row.sign](name, value, row.remedy)
@@ -505,7 +505,7 @@ def check_numbers(numbers: Mapping[str, Any]) -> None:
 
 
 def number_margins(numbers: Mapping[str, Any]) -> dict[str, Array]:
-    """How far numbers are inside their domain, by words for its edges: at least 0 inside."""
+    """How far parameters are inside their domain, by words for its edges: at least 0 inside."""
     found = {}
     for name, value in numbers.items():
         row = parameter(name)

@@ -77,10 +77,10 @@ CELLS_FINAL = _OF_ALL | {
 
 
 class Dependence(NamedTuple):
-    """Which numbers the rates of a cell depend on: m rows, one for each rate, of m entries.
+    """Which variables the rates of a cell depend on: m rows, one for each rate, of m entries.
 
     `time` (m entries): whether rate i depends on it; `left`, `own`, `right`: whether it depends on
-    number j of the cell before, of the cell itself and of the cell behind.
+    variable j of the cell before, of the cell itself and of the cell behind.
     """
 
     time: tuple[bool, ...]
@@ -146,7 +146,7 @@ def _once(field: Any, key: Any, find: Callable[[], Any]) -> Any:
 
 
 def dependence(cells: Any, m: int, n: int) -> Dependence:
-    """The `Dependence` of n cells with m numbers each, read off the trace of their rate."""
+    """The `Dependence` of n cells with m variables each, read off the trace of their rate."""
 
     def find() -> Dependence:
         state = (jnp.zeros(n),) * m

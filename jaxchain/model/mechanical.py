@@ -137,8 +137,8 @@ class MechanicalCells(AbstractCells):
         = s(q_{n+1} - q_n) - s(q_n - q_{n-1})
         + g(q_n, q_n') + p F(u_n' - v_d) e_u + f cos(omega t),
 
-    where u is the displacement number `sliding` of a cell, which slides on the belt, and e_u its
-    unit vector.  A state is (q_1, ..., q_d, q_1', ..., q_d'), each of shape (n,).
+    where u = `sliding` is the index of the displacement that slides on the belt, and e_u its unit
+    vector.  A state is (q_1, ..., q_d, q_1', ..., q_d'), each of shape (n,).
 
     With dry friction `simulate` and `sweep` find every start and end of sticking (`EventDriven`):
 
@@ -166,14 +166,14 @@ class MechanicalCells(AbstractCells):
       until `with_(friction=0.3)` sets it.
     - `ends`: "cyclic" or "free"; `names` of the displacements.
 
-    `spring` and `local_force` are functions, or `equinox.Module`s whose numbers are fields; they
-    compute all cells side by side.  What JAX traces in the closure of a function, such as a number
-    by which you differentiate, becomes a part of the cells, as a field would.
+    `spring` and `local_force` are functions, or `equinox.Module`s whose parameters are fields;
+    they compute all cells side by side.  What JAX traces in the closure of a function, such as a
+    number by which you differentiate, becomes a part of the cells, as a field would.
 
-    `with_` changes numbers by their names, and entries of arrays by names such as
+    `with_` changes parameters by their names, and entries of arrays by names such as
     "stiffness[0, 1]", counted from 0; off the diagonal of M it sets both entries.  Where the cells
     hold an array over displacements, it refuses one number, which would act on all displacements;
-    `normal_load` and the numbers of the friction law are one for all cells or one for each.
+    `normal_load` and the parameters of the friction law are one for all cells or one for each.
 
     **Raises:** `ValueError` for anything else.
 
@@ -370,9 +370,9 @@ class MechanicalCells(AbstractCells):
                 total = _plus_scaled(total, added.factor, _of_size(added.matrices[name], self.d))
         return total
 
-    def _place(self, name: str) -> Callable[[Any], Any]:
+    def _selector(self, name: str) -> Callable[[Any], Any]:
         if self.plus is None or name not in self.plus:
-            return super()._place(name)
+            return super()._selector(name)
         return lambda cells: cells.plus[name].factor
 
     def description(self, n: int) -> dict[str, Any]:
@@ -381,7 +381,7 @@ class MechanicalCells(AbstractCells):
         return super().description(n) | ({"plus": plus} if plus else {})
 
     def parameters(self) -> dict[str, Array]:
-        """The arrays among the fields, the numbers of the law, the parameters of `plus`."""
+        """The arrays among the fields, the parameters of the law, the parameters of `plus`."""
         return super().parameters() | {name: a.factor for name, a in (self.plus or {}).items()}
 
     @property
@@ -461,10 +461,10 @@ class MechanicalCells(AbstractCells):
             return None
         u = self.sliding
         matrix = self._matrix("stiffness")
-        held: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
+        stiffness: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
         share: Any = self.compliance()[u]
         nominal = jnp.max(self.normal_load)
-        unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(held > 0, held, 1.0)))
+        unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(stiffness > 0, stiffness, 1.0)))
         return self.law, 1.0, self.belt_speed, unit
 
     def forcing_period(self) -> ScalarLike | None:

@@ -38,7 +38,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
     """What all models share: a `Chain`, other `AbstractOscillators`, and `AbstractCells`.
 
     A vector field in the sense of `diffrax.ODETerm`: `field(t, y)` is the time derivative of a
-    state y, a tuple of arrays of shape (n,), one for each number of a cell; of a chain the pair
+    state y, a tuple of arrays of shape (n,), one for each variable of a cell; of a chain the pair
     (x, v).  Subclass one of those, not this class.
 
     See `AbstractCells` for an example.
@@ -103,10 +103,10 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         return False
 
     def smallest_scale(self, n: int) -> tuple[PerMass, PerMass] | None:
-        """(eps, |v_d|): the width within which friction turns round, and at which velocity.
+        """(eps, |v_d|): the width within which friction changes its sign, and at which velocity.
 
         A run that is to stick must resolve eps, by tolerances that are relative to |v_d|.  None if
-        nothing turns round, or if friction is dry.
+        no force switches, or if friction is dry.
         """
         layer = None if self.dry else self.switching(jnp.zeros(()), jnp.zeros(n))
         return None if layer is None else (layer[1], jnp.abs(layer[0]))
@@ -151,14 +151,14 @@ class AbstractModel(PrintedAsCall, eqx.Module):
     ) -> tuple[Float[Array, " n"], PerMass] | None:
         """(w, width): velocities w whose sign a force follows within |w| < width, cell by cell.
 
-        v is the number `contact` of each cell.  None if no force switches.  Steps are shortened as
-        a w approaches 0, see `SwitchingController`.
+        v is the variable `contact` of each cell.  None if no force switches.  Steps are shortened
+        as a w approaches 0, see `SwitchingController`.
         """
         del t, v
         return None
 
     def layer(self, t: ScalarLike, y: State) -> tuple[Float[Array, " n"], PerMass] | None:
-        """`switching` at a state: of its number `contact`, or of the last one if it has fewer."""
+        """`switching` at a state: of the variable `contact`, or the last one of fewer."""
         return self.switching(t, y[min(self.contact, len(y) - 1)])
 
     def belt_direction(self) -> ScalarLike:
@@ -216,7 +216,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
     def value_and_rate(
         self, t: ScalarLike, y: State, component: int = 0
     ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-        """(y_i, y_i'): one of the m numbers of each cell, and its rate."""
+        """(y_i, y_i'): one of the m variables of each cell, and its rate."""
         if component >= len(y):
             raise ValueError(
                 f"Argument `component` is {component}, but a cell of {type(self).__name__} has "
@@ -247,9 +247,9 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         return jax.jacfwd(rate)(jnp.concatenate(y))
 
     def with_(self, **changes: Any) -> Any:
-        """A copy with other numbers, by the names of fields, checked as those of a new one.
+        """A copy with other parameters, by the names of fields, checked as in a new model.
 
-        Entries of arrays are numbers, too: `with_(**{"stiffness[0, 1]": 0.3})`.
+        Entries of arrays are parameters, too: `with_(**{"stiffness[0, 1]": 0.3})`.
         """
         field, known, of = self, self.parameters(), f"`{type(self).__name__}.with_`"
         changes = with_entries(changes, known, of, self._symmetric)
@@ -265,23 +265,23 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         for name, value in changes.items():
             number = to_float(converters.get(name, to_float)(value))
             self._check_change(name, number)
-            field = eqx.tree_at(self._place(name), field, number)
+            field = eqx.tree_at(self._selector(name), field, number)
         for kind in type(field).__mro__:
             if check := vars(kind).get("__check_init__"):
                 check(field)
         return field
 
     def _check_change(self, name: str, number: Array) -> None:
-        """Raises `ValueError` if this number cannot take the place of the present one."""
+        """Raises `ValueError` if this parameter cannot replace the present one."""
         del name, number
 
-    def _place(self, name: str) -> Callable[[Any], Any]:
-        """From a model to the array that holds this number."""
+    def _selector(self, name: str) -> Callable[[Any], Any]:
+        """From a model to the array that holds this parameter."""
         return operator.attrgetter(name)
 
     @property
     def given_friction(self) -> AbstractFriction | None:
-        """The field `friction` if it is a law or a smoothed one, whose numbers are the model's."""
+        """The field `friction` if it is a law, smoothed or not; its parameters are the model's."""
         friction = vars(self).get("friction")
         return friction if isinstance(friction, AbstractFriction) else None
 
@@ -291,7 +291,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         return False
 
     def parameters(self) -> dict[str, Array]:
-        """The arrays among the fields, and the numbers of the field `friction`, by name."""
+        """The arrays among the fields, and the parameters of the field `friction`, by name."""
         friction = {} if self.given_friction is None else self.given_friction.parameters()
         arrays = {name: value for name, value in vars(self).items() if eqx.is_array(value)}
         if taken := sorted(friction.keys() & arrays.keys()):
@@ -302,7 +302,7 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         return {**friction, **arrays}
 
     def value_of(self, name: str) -> Array:
-        """The number of this name, or an entry of one: `value_of("stiffness[0, 1]")`."""
+        """The parameter of this name, or an entry of one: `value_of("stiffness[0, 1]")`."""
         numbers = self.parameters()
         if array_of(name) is not None:
             return entry(name, numbers)

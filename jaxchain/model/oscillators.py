@@ -119,16 +119,16 @@ class AbstractOscillators(AbstractModel):
         self, t: ScalarLike, x: Float[Array, " n"], v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], LocalSlopes]:
         """(h, its derivatives).  h acts mass by mass: a tangent of ones carries the diagonal."""
-        timed, placed = self.uses(x.shape[0])
+        timed, displaced = self.uses(x.shape[0])
         one, ones = jnp.ones(()), jnp.ones_like(v)
         force, by_velocity = jax.jvp(lambda v: self.local_force(t, x, v), (v,), (ones,))
-        by_time = by_place = None
+        by_time = by_displacement = None
         if timed:
             now = jnp.asarray(t, float)
             by_time = jax.jvp(lambda t: self.local_force(t, x, v), (now,), (one,))[1]
-        if placed:
-            by_place = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
-        return force, LocalSlopes(by_time, by_place, by_velocity)
+        if displaced:
+            by_displacement = jax.jvp(lambda x: self.local_force(t, x, v), (x,), (ones,))[1]
+        return force, LocalSlopes(by_time, by_displacement, by_velocity)
 
     @property
     def ends(self) -> Ends:
@@ -173,18 +173,18 @@ class AbstractOscillators(AbstractModel):
         _, slopes = self.local_force_and_slopes(t, x, jnp.zeros_like(x))
         if slopes.time is not None:
             return jnp.asarray(False)
-        held = self.stiffness_diagonal(x.shape[0])
+        margin = self.stiffness_diagonal(x.shape[0])
         if slopes.displacement is not None:
-            held = held - slopes.displacement
+            margin = margin - slopes.displacement
         if self.springs is not None:
-            held = held - self.springs.strength(x.shape[0])
-        return jnp.all(slopes.velocity < 0) & jnp.all(held > 0)
+            margin = margin - self.springs.strength(x.shape[0])
+        return jnp.all(slopes.velocity < 0) & jnp.all(margin > 0)
 
     def divergence(self, t: ScalarLike, y: State) -> Float[Array, ""]:
         """tr J = sum of dh_n/dv_n."""
         return jnp.sum(self.local_force_and_slopes(t, *y)[1].velocity)
 
-    def _place(self, name: str) -> Callable[[Any], Any]:
+    def _selector(self, name: str) -> Callable[[Any], Any]:
         return operator.attrgetter("springs.constant" if name == "coupling" else name)
 
     def parameters(self) -> dict[str, Array]:

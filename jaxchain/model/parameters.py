@@ -1,8 +1,8 @@
-"""The numbers of a chain and of the friction laws, each described once.
+"""The parameters of a chain and of the friction laws, each described once.
 
 These tables are used by `Chain.with_` and its checks, sweeps, datasets with their units, the
-tables of scene files and the labels of axes.  A new number of the chain needs one line here, and
-its physics in `model/chain.py`.  This module does not need JAX.
+tables of scene files and the labels of axes.  A new parameter of the chain needs one line here,
+and its physics in `model/chain.py`.  This module does not need JAX.
 """
 
 import re
@@ -13,12 +13,12 @@ Sign = Literal["any", "nonnegative", "positive"]
 
 
 class Parameter(NamedTuple):
-    """One number: its names, its allowed values, and whether it may be given per mass.
+    """One parameter: its names, its allowed values, and whether it may be given per mass.
 
     `symbol` is LaTeX without dollars, empty if there is none; `meaning` is the description in
     scene files, and `remedy` the end of an error message.  `per` is "mass" or "spring" if it may
-    be given for each; a `required` number must be given in a scene, others have a `default`.
-    `sign` and `floor`, the name of another number that it must not fall below, are its domain.
+    be given for each; a `required` parameter must be given in a scene, others have a `default`.
+    `sign` and `floor`, the name of another parameter that it must not fall below, are its domain.
     Searches stay in this domain, and in `searched` where that is narrower: negative damping is a
     model of its own, but as the result of a fit a mistake.
     `usual` is its value in the paper, eq. (7).
@@ -139,7 +139,7 @@ PARAMETERS = CHAIN | FRICTION
 
 
 def parameter(name: str) -> Parameter:
-    """The row of a number; for a number of a custom friction law the name is the description.
+    """The row of a parameter; in a custom friction law the name is the description.
 
     The row of an entry, "stiffness[3]", is the row of its array without the symbol.
 

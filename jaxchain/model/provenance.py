@@ -37,7 +37,7 @@ def _versions() -> dict[str, str]:
 
 
 def parameters_of(field: AbstractModel, n: int, swept: Sequence[str]) -> str:
-    """The numbers of a chain and of its friction as JSON; "swept" for the swept ones.
+    """The parameters of a chain and of its friction as JSON; "swept" for the swept ones.
 
     For other oscillators: their class, their number n and their `parameters`.
     """
@@ -73,7 +73,7 @@ def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     return Chain(given["n"], law, ends=given["ends"], **{name: given[name] for name in CHAIN})
 
 
-def circumstances() -> dict[str, Any]:
+def environment() -> dict[str, Any]:
     """The versions, the kind of device, and the time."""
     return {
         "versions": json.dumps(versions()),

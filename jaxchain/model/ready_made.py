@@ -49,7 +49,7 @@ def _number(name: str, check: Callable[[str, Any], None] = check_positive) -> Ca
 
 
 def _bend(left: State, own: State, right: State) -> Float[Array, " n"]:
-    """The second difference x_{n-1} - 2 x_n + x_{n+1} of the first number."""
+    """The second difference x_{n-1} - 2 x_n + x_{n+1} of the first variable."""
     return left[0] - 2.0 * own[0] + right[0]
 
 
@@ -130,7 +130,7 @@ class ModeCoupling(_AbstractReadyMade):
 
 
 class _AbstractPulled(_AbstractReadyMade):
-    """Blocks pulled by springs, whose first number is the stretch u, with u' = V - v."""
+    """Blocks pulled by springs, whose first variable is the stretch u, with u' = V - v."""
 
     def belt_direction(self) -> ScalarLike:
         """-1: a block is fastest where u' is least."""
@@ -474,7 +474,7 @@ class BurridgeKnopoff(_AbstractPulled):
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], PerMass]:
-        """(v, width): friction turns round as a block comes to rest."""
+        """(v, width): friction changes its sign as a block comes to rest."""
         return v, self.friction.width
 
     def release_acceleration(self) -> PerMass:

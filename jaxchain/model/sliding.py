@@ -55,7 +55,7 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
 
     **Arguments:** `belt_speed`, one dimensionless number, instead of that of the chain.
 
-    **Returns:** a number, or of shape (n,) where numbers of the chain are given per mass.
+    **Returns:** a number, or of shape (n,) where parameters of the chain are given per mass.
 
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)

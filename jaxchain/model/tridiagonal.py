@@ -1,6 +1,6 @@
 """(Cyclic) block tridiagonal matrices, the Jacobians of cells that see their neighbours, in O(N).
 
-Of the m numbers of a cell its neighbours see q.  These form a system of their own: T b = r with
+Of the m variables of a cell its neighbours see q.  These form a system of their own: T b = r with
 the blocks D, L, R and the matrices P = D^{-1} L, Q = D^{-1} R, which have q columns, is
 
     b_n = D_n^{-1} r_n - P_n s_{n-1} - Q_n s_{n+1},      s = the seen numbers of b.
@@ -80,10 +80,10 @@ class BlockTridiagonal(eqx.Module):
         corner = self.ends == "cyclic"
         # Products with constants compile at once; the convolutions of `@` take seconds.
         before = np.eye(n, k=-1) + corner * np.eye(n, k=n - 1)
-        places = np.eye(n), before, before.T
+        shifts = np.eye(n), before, before.T
 
         def block(parts: tuple[Any, ...]) -> Array:
-            pairs = zip(parts, places, strict=True)
+            pairs = zip(parts, shifts, strict=True)
             return sum((p[:, None] * at for p, at in pairs if p is not None), jnp.zeros((n, n)))
 
         rows = zip(self.own, self.left, self.right, strict=True)

@@ -74,8 +74,8 @@ def _or_none(coupling: Any) -> Float[Array, ""] | None:
 class Scales(PrintedAsCall, eqx.Module):
     """The units of a dimensionless chain, and its two dimensionless parameters.
 
-    The unit of displacement is x0 = P / k, that of time 1 / omega_n, that of velocity x0 omega_n,
-    that of force P (per mass). The fields `displacement` [m], `angular_frequency` [rad/s] and
+    The units are x0 = P / k for displacement, 1 / omega_n for time, x0 omega_n for velocity and P
+    (per mass) for force. The fields `displacement` [m], `angular_frequency` [rad/s] and
     `force` [N] hold the units; `damping_ratio` = c / (2 sqrt(k m)) and `coupling` = k_c / k are
     the parameters. Create it with `Scales.from_dimensional`. In a mistuned chain they are those of
     the nominal mass.

@@ -140,8 +140,8 @@ class Amplitude(AbstractObserver):
                 start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
                 first = step.displacement(start)
                 low, high = jnp.where(opens, first, low), jnp.where(opens, first, high)
-            for turns, theta in step.all_turning_points():
-                extreme = jnp.where(turns & (theta >= start), step.displacement(theta), end)
+            for has_extreme, theta in step.all_turning_points():
+                extreme = jnp.where(has_extreme & (theta >= start), step.displacement(theta), end)
                 low = jnp.minimum(low, jnp.minimum(extreme, end))
                 high = jnp.maximum(high, jnp.maximum(extreme, end))
             return jnp.where(watching, low, acc.low), jnp.where(watching, high, acc.high)

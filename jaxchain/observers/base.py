@@ -46,7 +46,7 @@ class Step(eqx.Module):
 
     `y0` and `y1` are pairs (x, v) of shape (n,), of other cells m arrays; `field` is the `Chain`
     or other model.  `displacement(theta)` and `velocity(theta)` interpolate at theta in
-    [0, 1], one number or one per mass; of cells that is the number `component` and its rate, see
+    [0, 1], one number or one per mass; of cells that is the variable `component` and its rate, see
     `of`, and `state(theta)` is all of them.
 
     Rates of dry friction jump at an event, where a step ends.  So ask the step for them, not
@@ -82,7 +82,7 @@ class Step(eqx.Module):
     rates: Rates | None = None  # of an event-driven step; None: the field gives them
 
     def displacement(self, theta: Any) -> Array:
-        """The number `component` of each cell."""
+        """The variable `component` of each cell."""
         return self.part(theta, self.component)
 
     def velocity(self, theta: Any) -> Array:
@@ -159,17 +159,17 @@ class Step(eqx.Module):
         Secant for the zero of the velocity, then two Newton steps on the interpolant; the
         displacement there is accurate to second order in the error of theta.
         """
-        (turns, theta), *later = self.all_turning_points()
+        (has_extreme, theta), *later = self.all_turning_points()
         for again, then in later:
-            turns, theta = turns | again, jnp.where(turns, theta, then)
-        return turns, theta
+            has_extreme, theta = has_extreme | again, jnp.where(has_extreme, theta, then)
+        return has_extreme, theta
 
     def all_turning_points(self) -> list[tuple[Bool[Array, " n"], Float[Array, " n"]]]:
         """`turning_points`, and those at which a mass turns again in an event-driven step."""
         found = []
         for low, first, high, last in self._spans():
-            turns = (first > 0) & (last <= 0) | (first < 0) & (last >= 0)
-            found.append((turns, self._zero(turns, low, first, high, last)))
+            has_extreme = (first > 0) & (last <= 0) | (first < 0) & (last >= 0)
+            found.append((has_extreme, self._zero(has_extreme, low, first, high, last)))
         return found
 
     def _spans(self) -> list[tuple[Any, Array, Any, Array]]:
@@ -184,17 +184,17 @@ class Step(eqx.Module):
         theta, between = return_point(self.frozen().velocity, *lax.stop_gradient((first, last)))
         return [(0.0, first, theta, between), (theta, between, 1.0, last)]
 
-    def _zero(self, turns: Array, low: Any, first: Array, high: Any, last: Array) -> Array:
+    def _zero(self, has_extreme: Array, low: Any, first: Array, high: Any, last: Array) -> Array:
         """The theta at which the velocity is zero, for those that turn; 1 for the others."""
         if self.rates is None:
-            theta = zeros(self.velocity, turns, first, last, elsewhere=1.0)
+            theta = zeros(self.velocity, has_extreme, first, last, elsewhere=1.0)
             return lax.stop_gradient(theta)
         first, last = lax.stop_gradient((first, last))
         find = partial(
-            zeros, self.frozen().velocity, turns, first, last,
+            zeros, self.frozen().velocity, has_extreme, first, last,
             elsewhere=1.0, certain=True, low=low, high=high,
         )  # fmt: skip
-        return lax.cond(unvmap_any(turns), find, lambda: jnp.ones_like(first))
+        return lax.cond(unvmap_any(has_extreme), find, lambda: jnp.ones_like(first))
 
     def time(self, theta: Any) -> Array:
         """The time t0 + theta (t1 - t0), of the shape of theta."""

@@ -84,19 +84,19 @@ def _reach(excess: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     if outside.shape[-1] <= half:  # fewer than four masses: the ring closes
         outside = jnp.concatenate([outside, excess[..., :1]], axis=-1)
     vibrates = inside > 0
-    place = jnp.broadcast_to(jnp.arange(half + 1), inside.shape)
-    last = jnp.max(jnp.where(vibrates, place, -1), axis=-1)
+    position = jnp.broadcast_to(jnp.arange(half + 1), inside.shape)
+    last = jnp.max(jnp.where(vibrates, position, -1), axis=-1)
     # The mass after the last vibrating one does not vibrate, or does not exist.
     falls = inside > outside
     share = jnp.where(falls, inside, 1.0) / jnp.where(falls, inside - outside, 1.0)
-    between = place + jnp.clip(share, 0.0, 1.0)
-    here = place == last[..., None]
+    between = position + jnp.clip(share, 0.0, 1.0)
+    here = position == last[..., None]
     return jnp.where(last < 0, 0.0, jnp.sum(jnp.where(here, between, 0.0), axis=-1))
 
 
-def apart(place: Float[Array, "*batch"], n: int) -> Bool[Array, "*batch"]:
+def apart(position: Float[Array, "*batch"], n: int) -> Bool[Array, "*batch"]:
     """Whether a front is far enough from the other one."""
-    return (place >= _INNER) & (place <= n // 2 - _OUTER)
+    return (position >= _INNER) & (position <= n // 2 - _OUTER)
 
 
 class _Watch(eqx.Module):

@@ -145,14 +145,14 @@ class Samples(AbstractNotingObserver):
                 raise ValueError(
                     "Argument `oscillators` must hold the index of a mass, but is (): None is all."
                 )
-            for place, index in enumerate(self.oscillators):
-                check_whole(f"oscillators[{place}]", index, 0, remedy="it is that of a mass.")
+            for i, index in enumerate(self.oscillators):
+                check_whole(f"oscillators[{i}]", index, 0, remedy="it is that of a mass.")
 
     def _masses(self, n: int) -> np.ndarray:
         if self.oscillators is None:
             return np.arange(n)
-        for place, index in enumerate(self.oscillators):
-            check_whole(f"oscillators[{place}]", index, 0, n - 1, f"the chain has {n} masses.")
+        for i, index in enumerate(self.oscillators):
+            check_whole(f"oscillators[{i}]", index, 0, n - 1, f"the chain has {n} masses.")
         return np.array(self.oscillators, int)
 
     def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> _Samples:
@@ -222,16 +222,16 @@ class Samples(AbstractNotingObserver):
             return [part(theta, i)[masses] for i in range(len(accumulator.parts))]
 
         def block(kept: _Samples) -> tuple[Array, Array, Array]:
-            place = kept.count + jnp.arange(_BLOCK)
-            time = kept.first + place * self.interval
-            return place, time, (time <= end) & (place < self.capacity)
+            index = kept.count + jnp.arange(_BLOCK)
+            time = kept.first + index * self.interval
+            return index, time, (time <= end) & (index < self.capacity)
 
         def any_left(kept: _Samples) -> Array:
             return unvmap_any(block(kept)[2])
 
         def keep(kept: _Samples) -> _Samples:
-            place, time, here = block(kept)
-            rows = jnp.where(here, place, self.capacity)  # beyond the last: left out
+            index, time, here = block(kept)
+            rows = jnp.where(here, index, self.capacity)  # beyond the last: left out
             parts = tuple(
                 old.at[rows].set(new, mode="drop")
                 for old, new in zip(kept.parts, jax.vmap(state)(time), strict=True)

@@ -41,7 +41,7 @@ class PeakTimes(AbstractNotingObserver):
 
     **Arguments:** `capacity`, the greatest number of maxima kept per mass (the first ones; for
     long runs see `segments` of `simulate`); `start`, the time from which maxima are kept (None:
-    the start of the run); `component`, the number of a cell that is observed.  A velocity has no
+    the start of the run); `component`, the variable of a cell that is observed.  A velocity has no
     maximum while its mass sticks.
 
     **Value:** shape (capacity, n); NaN in the rows beyond the maxima that there were, which says
@@ -270,7 +270,7 @@ class Section(AbstractSection):
     falls afterwards.
 
     **Value:** (times, x, v) of shapes (capacity,), (capacity, n), (capacity, n); NaN in the rows
-    beyond the maxima that there were.  With other cells their first number has the maximum,
+    beyond the maxima that there were.  With other cells their first variable has the maximum,
     and the value contains all m.
 
     !!! example

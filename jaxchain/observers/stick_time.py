@@ -98,7 +98,7 @@ def sticking(step: Step) -> tuple[Array, Array]:
         assert switching is not None  # what can stick switches
         return jnp.abs(switching[0]) - limit
 
-    def let_go(theta: Any) -> Array:
+    def excess(theta: Any) -> Array:
         # A neighbour at the time of this mass: its own theta is that of its neighbour.
         (behind,), (ahead,) = field.neighbours((theta,))
         own, at_end = step.state(theta), jnp.arange(theta.size)
@@ -115,8 +115,8 @@ def sticking(step: Step) -> tuple[Array, Array]:
     begin, end = _where_negative(too_fast, step.y0[0])
     if field.dry:
         return begin, end
-    held, released = _where_negative(let_go, step.y0[0])
-    return jnp.maximum(begin, held), jnp.minimum(end, released)
+    caught, released = _where_negative(excess, step.y0[0])
+    return jnp.maximum(begin, caught), jnp.minimum(end, released)
 
 
 def _where_negative(

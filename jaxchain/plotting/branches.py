@@ -147,15 +147,15 @@ def plot_special_curves(
     """Draws curves of special points in the plane of their two numbers, with their special points.
 
     The region between a curve of Hopf points and one of folds is shaded: there the cycles between
-    both coexist with the equilibrium.  Its side is the greatest |first number| of the Hopf points.
-    If the first number is the belt speed, three regions are named: up to the Hopf points,
-    or between them, the masses vibrate by themselves, up to the folds they do either, and beyond
-    they slide.
+    both coexist with the equilibrium.  Its side is the greatest |first parameter| of the Hopf
+    points. If the first parameter is the belt speed, three regions are named: up to the Hopf
+    points, or between them, the masses vibrate by themselves, up to the folds they do either, and
+    beyond they slide.
 
     **Arguments:** `curves`: one of `continue_special` or its `to_dataset()`, or several in the
     same two numbers; `ax`, `scales`: as for `plot_branch`.
 
-    **Returns:** the axes, the first number across, the second one up.
+    **Returns:** the axes, the first parameter across, the second one up.
 
     **Raises:** `ValueError` for anything else.
 
@@ -231,7 +231,7 @@ def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray, named: bool) 
     second = second[(second >= low) & (second <= high)]
 
     def sides(line: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The firsts of least and greatest modulus at each second number, over all pieces.
+        """The firsts of least and greatest modulus at each second parameter, over all pieces.
 
         The least one is 0 for an odd number of them.
         """

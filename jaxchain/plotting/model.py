@@ -103,10 +103,10 @@ def zigzag(
     along = end - start
     length = np.hypot(*along)
     across = np.array([-along[1], along[0]]) / (length if length > 0 else 1.0)
-    turns = np.arange(2 * coils)
-    share = np.concatenate([[0.0, lead], lead + (1 - 2 * lead) * (turns + 0.5) / (2 * coils)])
+    corners = np.arange(2 * coils)
+    share = np.concatenate([[0.0, lead], lead + (1 - 2 * lead) * (corners + 0.5) / (2 * coils)])
     share = np.concatenate([share, [1 - lead, 1.0]])
-    offset = np.concatenate([[0.0, 0.0], swing * (-1.0) ** turns, [0.0, 0.0]])
+    offset = np.concatenate([[0.0, 0.0], swing * (-1.0) ** corners, [0.0, 0.0]])
     x, y = (start[i] + share * along[i] + offset * across[i] for i in range(2))
     return x, y
 

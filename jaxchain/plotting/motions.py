@@ -198,8 +198,8 @@ def plot_space_time(
     return axes
 
 
-def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **asked: Any) -> list[Any]:
-    """(values, factor, label) of each component asked for, and (factor, label) of time."""
+def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **requested: Any) -> list[Any]:
+    """(values, factor, label) of each requested component, and (factor, label) of time."""
     check_scales(scales)
     if model is not None:
         model = as_model(model)
@@ -217,7 +217,7 @@ def _named(states: tuple[np.ndarray, ...], model: Any, scales: Any, **asked: Any
         known = [StateVariable(str(k), "1", f"component {k}") for k in range(len(states))]
     names = [part.name for part in known]
     drawn: list[Any] = []
-    for key, given in asked.items():
+    for key, given in requested.items():
         if given not in names and given not in range(len(names)):
             raise ValueError(
                 f"Argument `{key}` must be one of {', '.join(names)}, or its number from 0, but "
@@ -262,10 +262,10 @@ def _draw_curves(
     shades, shade = looks(np.array(picked) + 1)
     several = len(picked) > 1 and color is None
     with on_axes(ax) as axes:
-        for place, (mass, (shaded, _)) in enumerate(zip(picked, shades, strict=True)):
+        for i, (mass, (shaded, _)) in enumerate(zip(picked, shades, strict=True)):
             name = f"oscillator {mass + 1}" if several and shade is None else None
             # Lines of one colour are one entry of the legend.
-            words = [label if several or place == 0 else None, name]
+            words = [label if several or i == 0 else None, name]
             colour = shaded if color is None else color
             across, up = (part[:, mass] for part in lines)
             entry = ", ".join(filter(None, words)) or None
@@ -333,13 +333,13 @@ def sticking(model: AbstractModel, states: Given[StateLike]) -> np.ndarray:
     limit = known.stick_speed() + rounding
 
     @eqx.filter_jit
-    def held(state: Any) -> Any:
+    def sticks_in(state: Any) -> Any:
         layer: Any = model.layer(0.0, state)
         left, right = model.neighbours(state)
         excess = model.excess_force(0.0, left, state, right)
         return (jnp.abs(layer[0]) <= limit) & (excess <= 0)
 
-    return np.asarray(jax.vmap(held)(parts))
+    return np.asarray(jax.vmap(sticks_in)(parts))
 
 
 def _sticks(model: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:
@@ -386,8 +386,8 @@ def loop(
     check_positive_number("longest", longest, "100 is some sixteen periods.")
     check_positive_number("tolerance", tolerance, "1e-2 cannot be seen.")
     state, solver = as_state(model, state, "state"), custom_solver(model, solver)
-    turns = Section(most_lively(model, state), capacity=256)
-    run = simulate(model, state, longest, observe=turns, solver=solver)
+    crossings = Section(most_lively(model, state), capacity=256)
+    run = simulate(model, state, longest, observe=crossings, solver=solver)
     at, x, v = (np.asarray(part) for part in run.observed)
     if np.count_nonzero(np.isfinite(at)) < 2:
         raise RuntimeError(
@@ -692,12 +692,12 @@ class _Film:
 
     def add_curves(self, strip: Axes, plane: Axes) -> None:
         """x over time and v over x, with a point for every mass that moves along them."""
-        t, x, v, held = self._closed()
+        t, x, v, sticks = self._closed()
         for axes, across, up in ((strip, np.broadcast_to(t[:, None], x.shape), x), (plane, x, v)):
             axes.plot(across, up, color=BLUE, linewidth=0.7)
             # Curves are bold from the first to the last frame in which the mass sticks.
             bold: Any = {"linewidth": 2.2, "solid_capstyle": "butt"}
-            axes.plot(across, np.where(held, up, np.nan), color=ORANGE, **bold)
+            axes.plot(across, np.where(sticks, up, np.nan), color=ORANGE, **bold)
             for marker, colour in (("s", ORANGE), ("o", BLUE)):
                 look: Any = {"color": colour, "markeredgecolor": "black", "markeredgewidth": 0.5}
                 self.dots += axes.plot([], [], marker, markersize=4.5, zorder=4, **look)
@@ -710,11 +710,11 @@ class _Film:
             r"$\tilde v_d$", (1.0, speed), xycoords=plane.get_yaxis_transform(), xytext=(3, 0),
             textcoords="offset points", va="center", annotation_clip=False,
         )  # fmt: skip
-        (_, time), (_, place), (_, rate) = (
+        (_, time), (_, displacement), (_, rate) = (
             axis(name, {"units": unit}, None) for name, unit in (("time", "1"), *_UNITS.items())
         )
-        strip.set(xlabel=time, ylabel=place)
-        plane.set(xlabel=place, ylabel=rate)
+        strip.set(xlabel=time, ylabel=displacement)
+        plane.set(xlabel=displacement, ylabel=rate)
 
     def _closed(self) -> list[np.ndarray]:
         """Times, x, v and sticking; for a closed film with the first frame appended."""
@@ -727,13 +727,13 @@ class _Film:
         return [np.append(self.times, after), *(np.vstack([p, p[:1]]) for p in parts[1:])]
 
     def show(self, frame: int) -> list[Any]:
-        """Moves everything to its place in a frame; returns what has changed."""
+        """Moves everything to its position in a frame; returns what has changed."""
         time, x, v, stuck = (part[frame] for part in (self.times, self.x, self.v, self.sticks))
         middles, half = self.home + x, 0.5 * self.wide
-        for block, number, middle, held in zip(
+        for block, number, middle, sticks in zip(
             self.blocks, self.numbers, middles, stuck, strict=True
         ):
-            block.set(x=middle - half, **(_STICKS if held else _SLIDES))
+            block.set(x=middle - half, **(_STICKS if sticks else _SLIDES))
             number.set_x(middle)
         ends = zip(self.home + self.post, middles - half, strict=True)
         ground = [zigzag((a, _SPRING), (b, _SPRING), 4, swing=0.1) for a, b in ends]

@@ -118,9 +118,9 @@ def draw_circles(axes: Any, runs: Runs) -> None:
 
     def circles(states: xr.Dataset, shown: np.ndarray, **look: Any) -> None:
         size = 0.88 * np.nan_to_num(states["amplitude"].values)[shown] / greatest
-        places = np.column_stack([across[shown], up[shown]])
+        centres = np.column_stack([across[shown], up[shown]])
         ellipses = EllipseCollection(
-            size, size, 0 * size, units="xy", offsets=places, transOffset=axes.transData, **look
+            size, size, 0 * size, units="xy", offsets=centres, transOffset=axes.transData, **look
         )
         axes.add_collection(ellipses)
 
@@ -149,8 +149,8 @@ def draw_circles(axes: Any, runs: Runs) -> None:
     energies: Any = energy(data)
     for row, (height, number) in enumerate(zip(energies.values, alive.sum(axis=1), strict=True)):
         text = f"{height:.2f} ({number})" if np.isfinite(height) else "failed"
-        place: Any = {"xycoords": ("axes fraction", "data"), "xytext": (3, 0), "va": "center"}
-        axes.annotate(text, (1.0, row), **place, **small)
+        position: Any = {"xycoords": ("axes fraction", "data"), "xytext": (3, 0), "va": "center"}
+        axes.annotate(text, (1.0, row), **position, **small)
     axes.legend(
         loc="upper center",
         bbox_to_anchor=(0.5, -0.11),
@@ -229,9 +229,9 @@ def draw_orbit_diagram(axes: Any, runs: Runs) -> None:
         for index, count in enumerate(one["excited"].values):
             _, delay, numbers = _points(one.isel(excited=index), _window(data)[0])
             # The masses of a state side by side, so that none hides another.
-            place = count + shift + width * ((numbers - 0.5) / one.sizes["oscillator"] - 0.5)
+            position = count + shift + width * ((numbers - 0.5) / one.sizes["oscillator"] - 0.5)
             look: Any = {"c": numbers, **shades} if coloured else {"color": ORANGE}
-            axes.scatter(place, delay, s=1.6, linewidths=0, rasterized=True, **look)
+            axes.scatter(position, delay, s=1.6, linewidths=0, rasterized=True, **look)
     counts = data["excited"].values
     axes.set_xlim(counts.min() - 0.7, counts.max() + 0.7)
     axes.set_xticks(counts)

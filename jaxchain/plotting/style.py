@@ -185,7 +185,7 @@ def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | N
     return colours, shade if is_number else None
 
 
-# Words and symbols of quantities that are not numbers of the chain.
+# Words and symbols of quantities that are not parameters of the chain.
 _NAMES: dict[str, tuple[str, str]] = {
     "amplitude": ("vibration amplitude", r"\tilde A_n"),
     "energy": ("vibration energy", r"\tilde E"),

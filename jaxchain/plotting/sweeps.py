@@ -143,12 +143,12 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
     width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH
     with matplotlib.rc_context(STYLE):
         page = Figure(figsize=(width, PANEL_HEIGHT * rows), layout="constrained")
-        places = page.subplots(rows, columns, squeeze=False).ravel()
-        for index, (axes, panel) in enumerate(zip(places, shown.values(), strict=False)):
+        subplots = page.subplots(rows, columns, squeeze=False).ravel()
+        for index, (axes, panel) in enumerate(zip(subplots, shown.values(), strict=False)):
             draw(axes, panel, hopf)
             if len(shown) > 1:
                 axes.set_title(f"({chr(ord('a') + index)})", loc="left", fontweight="bold")
-        for axes in places[len(shown) :]:
+        for axes in subplots[len(shown) :]:
             axes.set_axis_off()
     return page
 
@@ -405,8 +405,8 @@ def plot_sweep(
     given = None if ax is None else _flat(ax)
     values = _variable(data, y)
     shades = _hue(data, values, hue)
-    places = _places(data, values, {"x": x, "hue": hue, "col": col, "row": row}, shades, given)
-    faceted = [name for role in ("row", "col") if (name := places[role])]
+    roles = _roles(data, values, {"x": x, "hue": hue, "col": col, "row": row}, shades, given)
+    faceted = [name for role in ("row", "col") if (name := roles[role])]
     at = [[{_dim(data, name): k} for k in range(data[name].size)] for name in faceted]
     panels = [dict(itertools.chain(*map(dict.items, parts))) for parts in itertools.product(*at)]
     if len(panels) > MOST_PANELS:
@@ -422,17 +422,17 @@ def plot_sweep(
         )
     if not faceted:
         with on_axes(None if given is None else given[0]) as axes:
-            _draw(axes, data, values, places["x"], shades, scales)
+            _draw(axes, data, values, roles["x"], shades, scales)
             _explain([axes], shades, scales)
         return axes
     with matplotlib.rc_context(STYLE if given is None else {}):
-        grid = given or _new_panels([len(part) for part in at], places["col"] is None)
+        grid = given or _new_panels([len(part) for part in at], roles["col"] is None)
         for axes, panel in zip(grid, panels, strict=True):
             part = data.isel(panel)
-            mine = shades and shades._replace(
+            panel_shades = shades and shades._replace(
                 of_runs=shades.of_runs.isel(panel, missing_dims="ignore")
             )
-            _draw(axes, part, values.isel(panel), places["x"], mine, scales)
+            _draw(axes, part, values.isel(panel), roles["x"], panel_shades, scales)
             axes.set_title("\n".join(value_of(part[name], scales) for name in faceted))
             if given is None:
                 _label_outer(axes)
@@ -481,29 +481,29 @@ def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
     return _Hue(of_runs, xr.DataArray(present, dims=hue, name=hue, attrs=of_runs.attrs), True)
 
 
-def _places(
-    data: xr.Dataset, values: xr.DataArray, asked: dict[str, Any], hue: _Hue | None, ax: Any
+def _roles(
+    data: xr.Dataset, values: xr.DataArray, requested: dict[str, Any], hue: _Hue | None, ax: Any
 ) -> dict[str, str | None]:
-    """The place of each variable; every dimension of more than one value needs a place."""
+    """The dimension of each role; every dimension of more than one value needs a role."""
     free = [str(dim) for dim in values.dims if values.sizes[dim] > 1]
-    places = dict(asked)
-    for role, name in asked.items():
+    roles = dict(requested)
+    for role, name in requested.items():
         if name is not None and not (role == "hue" and hue is not None and hue.is_variable):
             _take(data, values, role, name, free)
-    if places["x"] is None:
+    if roles["x"] is None:
         names = free or [str(dim) for dim in values.dims]
         if not names:
             raise ValueError(
                 f"Argument `data` must have a dimension to draw {values.name!r} over, but has "
                 "one value of it: select fewer dimensions."
             )
-        places["x"] = "belt_speed" if "belt_speed" in names else names[0]
-        free = [dim for dim in free if dim != places["x"]]
+        roles["x"] = "belt_speed" if "belt_speed" in names else names[0]
+        free = [dim for dim in free if dim != roles["x"]]
     if hue is not None:
         free = [dim for dim in free if dim not in hue.of_runs.dims]
     for role in ("col", "row") if ax is None else ():
-        if free and places[role] is None:
-            places[role] = free.pop(0)
+        if free and roles[role] is None:
+            roles[role] = free.pop(0)
     if free:
         sizes = " and ".join(f"`{dim}` of {values.sizes[dim]} values" for dim in free)
         raise ValueError(
@@ -511,7 +511,7 @@ def _places(
             f"`row` takes: give one of them {free[0]!r}, or take one value, as "
             f"`data.isel({free[0]}=0)`."
         )
-    return places
+    return roles
 
 
 def _take(data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: list[str]) -> None:
@@ -578,9 +578,10 @@ def _draw(
         )  # fmt: skip
     for word, missing in bad.items():
         if missing.any():
-            places = np.unique(at[missing])
+            positions = np.unique(at[missing])
             axes.plot(
-                places, np.full(places.size, 0.03), "x", color=RED if word == "failed" else GREY,
+                positions, np.full(positions.size, 0.03), "x",
+                color=RED if word == "failed" else GREY,
                 markersize=4.5, transform=axes.get_xaxis_transform(), label=word,
             )  # fmt: skip
     widen(axes, x)
@@ -633,14 +634,14 @@ def _new_panels(shape: list[int], is_row: bool) -> list[Axes]:
     columns = shape[1] if len(shape) == 2 else 1 if is_row else min(count, _COLUMNS)
     rows = -(-count // columns)
     width = COLUMN_WIDTH if columns == 1 else PAGE_WIDTH
-    _, places = plt.subplots(
+    _, panels = plt.subplots(
         rows, columns, figsize=(width, 1.9 * rows + 0.2), sharex=True, sharey=True,
         squeeze=False, layout="constrained",
     )  # fmt: skip
-    flat = places.ravel().tolist()
+    flat = panels.ravel().tolist()
     for spare in flat[count:]:
         spare.set_axis_off()
-    # Panels above an empty place need their own label below.
+    # Panels above an empty one need their own label below.
     for panel in flat[max(count - columns, 0) : count]:
         panel.tick_params(labelbottom=True)
     return flat[:count]

@@ -75,7 +75,7 @@ def build_chain(
 ) -> Chain:
     """The chain of an experiment, with the first value of every swept number.
 
-    `custom_law` takes the place of the law that the experiment names.
+    `custom_law` replaces the law that the experiment names.
 
     **Raises:** `ValueError` for inconsistent numbers, or numbers that do not fit the law.
     """
@@ -90,7 +90,7 @@ def build_chain(
 
 
 def _build_friction(
-    experiment: AbstractExperiment, place: str, custom_law: type[AbstractFrictionLaw] | None
+    experiment: AbstractExperiment, path: str, custom_law: type[AbstractFrictionLaw] | None
 ) -> friction.TanhFriction:
     table, grid = experiment.friction, experiment.grid()
     numbers: dict[str, Any] = {
@@ -99,10 +99,10 @@ def _build_friction(
     }
     width = numbers.pop("width")
     if custom_law is not None:
-        law = make(custom_law, numbers, f"{place}.friction")
+        law = make(custom_law, numbers, f"{path}.friction")
     elif isinstance(table, CustomLawTable):
         raise ValueError(
-            f'{place}.friction.law: is "custom", so the law must be named on the command line: '
+            f'{path}.friction.law: is "custom", so the law must be named on the command line: '
             "--law FILE.py:CLASS"
         )
     elif isinstance(table, TabulatedTable):
@@ -141,7 +141,7 @@ def build_cells(
 
 
 def component_names(experiment: CellsExperiment, cells: AbstractCells) -> tuple[str, ...]:
-    """The names of the m numbers of a cell; if it has none, their numbers 0 ... m - 1."""
+    """The names of the m variables of a cell; if it has none, their numbers 0 ... m - 1."""
     names = cells.components or tuple(map(str, range(len(experiment.initial))))
     if not names:
         raise ValueError(
@@ -151,12 +151,12 @@ def component_names(experiment: CellsExperiment, cells: AbstractCells) -> tuple[
     return names
 
 
-def _component(given: str | int, names: Sequence[str], place: str) -> int:
+def _component(given: str | int, names: Sequence[str], where: str) -> int:
     """The number of a component from its name or number, or `ValueError`."""
     numbers = {str(k): k for k in range(len(names))} | {name: k for k, name in enumerate(names)}
     if str(given) not in numbers:
         near = did_you_mean(str(given), numbers)
-        raise ValueError(f"{place} is not a number of a cell{near}; it has: {', '.join(numbers)}")
+        raise ValueError(f"{where} is not a number of a cell{near}; it has: {', '.join(numbers)}")
     return numbers[str(given)]
 
 
@@ -231,7 +231,7 @@ def build_observers(
 ) -> list[AbstractObserver]:
     """Amplitudes in the window, the observers of the table, and further custom observers.
 
-    `components`, the names of the numbers of a cell, which a table may refer to.
+    `components`, the names of the variables of a cell, which a table may refer to.
 
     **Raises:** `ValueError` for a custom observer that is missing or cannot be constructed.
     """
@@ -256,8 +256,8 @@ def build_observers(
                 numbers = np.subtract(fields[key], 1).tolist()
                 fields[key] = tuple(numbers) if key == "oscillators" else numbers
         if "component" in fields:
-            place = f"observe.others[{i}].component:"
-            fields["component"] = _component(fields["component"], components, place)
+            where = f"observe.others[{i}].component:"
+            fields["component"] = _component(fields["component"], components, where)
         watch.append(getattr(observers, other.observer)(**fields))
     return watch + [make(kind, {}, "--observer") for kind in unnamed.values()]
 
@@ -479,8 +479,8 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
     return getattr(code, name)
 
 
-def make(kind: type[_Made], numbers: Mapping[str, Any], place: str) -> _Made:
-    """A custom law, model or observer with the numbers at `place` of a scene.
+def make(kind: type[_Made], numbers: Mapping[str, Any], where: str) -> _Made:
+    """A custom law, model or observer with the numbers at `where` of a scene.
 
     **Raises:** `ValueError` for numbers that are not its fields, or are missing.
     """
@@ -492,5 +492,5 @@ def make(kind: type[_Made], numbers: Mapping[str, Any], place: str) -> _Made:
         names = ", ".join(fields.parameters) or "none"
         unknown = next((name for name in numbers if name not in fields.parameters), "")
         names += did_you_mean(unknown, fields.parameters)
-        message = f"{place}: {kind.__name__} cannot be made: {error}; its fields: {names}"
+        message = f"{where}: {kind.__name__} cannot be made: {error}; its fields: {names}"
         raise ValueError(message) from error

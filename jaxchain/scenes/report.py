@@ -47,14 +47,14 @@ def failures(data: xr.Dataset) -> Iterator[str]:
     """The failed runs (the first five), and a remedy for each kind of failure."""
     codes = data["result"].values
     # The outcome includes interrupted runs, which the user knows of.
-    places = np.argwhere(failed(data).values & (codes != NAMES.index("interrupted")))
-    for place in places[:5]:
-        values = (data[dim].values[i] for dim, i in zip(swept(data), place, strict=True))
+    indices = np.argwhere(failed(data).values & (codes != NAMES.index("interrupted")))
+    for index in indices[:5]:
+        values = (data[dim].values[i] for dim, i in zip(swept(data), index, strict=True))
         run = ", ".join(f"{dim} {v:g}" for dim, v in zip(swept(data), values, strict=True))
-        yield f"{run}: {NAMES[codes[tuple(place)]]}"
-    if len(places) > 5:
-        yield f"and {len(places) - 5} more, see `result`"
-    for kind in sorted({int(codes[tuple(place)]) for place in places}):
+        yield f"{run}: {NAMES[codes[tuple(index)]]}"
+    if len(indices) > 5:
+        yield f"and {len(indices) - 5} more, see `result`"
+    for kind in sorted({int(codes[tuple(index)]) for index in indices}):
         yield f"{NAMES[kind]}: {message(NAMES[kind])}"
 
 
@@ -199,11 +199,11 @@ def renew_page(folder: Path) -> Path:
     if not folder.is_dir():
         it_is = f"a file: its folder is {folder.parent}" if folder.is_file() else "none"
         raise ValueError(f"{wanted} is {it_is}.")
-    place = str(folder.absolute())  # a folder, also where a built-in scene has its name
+    path = str(folder.absolute())  # a folder, also where a built-in scene has its name
     loaded = None
     try:
-        name = scene_file(place).name.removesuffix(".toml")
-        loaded = load_scene(place)
+        name = scene_file(path).name.removesuffix(".toml")
+        loaded = load_scene(path)
     except SceneError as error:
         stores = sorted(folder.glob("*.zarr"))
         if not stores:

@@ -107,7 +107,7 @@ def run_scene(
     if saved(folder / f"{loaded.name}.zarr"):
         remedy = "`resume_scene` continues it, `claimed` finds another folder"
         raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
-    results, about = Results(folder, loaded.name), circumstances(command)
+    results, about = Results(folder, loaded.name), origin_attributes(command)
     chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
     how = {"custom_law": custom_law, "custom_observers": custom_observers}
     how |= {"custom_models": custom_models, "progress": progress}
@@ -164,7 +164,7 @@ def resume_scene(
     how |= {"custom_models": custom_models, "progress": progress}
     cut_off = was_cut_off(folder)
     with unfinished(folder, loaded.name):
-        results, about = Results.reopen(folder, loaded.name), circumstances(command)
+        results, about = Results.reopen(folder, loaded.name), origin_attributes(command)
         toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
         first = re.findall(r'^# (command|started) = (".*")$', toml, re.MULTILINE)
         about |= {"resumed": about["started"], "resumed_by": about["command"]}
@@ -287,7 +287,7 @@ def _write_page(results: Results, loaded: LoadedScene) -> None:
 
 
 @contextlib.contextmanager
-def _located(scene: str, place: str) -> Iterator[None]:
+def _located(scene: str, where: str) -> Iterator[None]:
     """Adds the experiment to an error that appears only in a run, such as a width too small.
 
     **Raises:** `SceneError` for a `ValueError`; `MemoryError` with a remedy if memory is short.
@@ -295,13 +295,13 @@ def _located(scene: str, place: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise SceneError(scene, [f"{place}{error}"]) from error
+        raise SceneError(scene, [f"{where}{error}"]) from error
     except (MemoryError, RuntimeError) as error:
         # The compiler reports it as RESOURCE_EXHAUSTED.
         if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):
             raise
         more = "" if "fewer" in str(error) else ": take fewer values, masses or chains at once"
-        raise MemoryError(f"{place}out of memory ({str(error)[:1000]}){more}") from error
+        raise MemoryError(f"{where}out of memory ({str(error)[:1000]}){more}") from error
 
 
 def run_experiment(
@@ -365,9 +365,9 @@ def run_experiment(
 def hopf_speed(
     chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]
 ) -> xr.DataArray | None:
-    """The Hopf speed over the swept numbers of the chain other than the belt speed.
+    """The Hopf speed over the swept parameters of the chain other than the belt speed.
 
-    None for cells, if no belt speed is swept, for numbers per mass, whose search needs
+    None for cells, if no belt speed is swept, for parameters per mass, whose search needs
     eigenvalues, and for more combinations than fit into memory.
     """
     known = isinstance(chain, Chain) and has_uniform_damping(chain)
@@ -396,7 +396,7 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
 
     **Returns:** a dataset over `point`, from rest at the Hopf speed through the fold to
     stick-slip, with the attribute `cut_off` if it is not whole; None for anything but one
-    oscillator, with a sweep over at least ten belt speeds and starts and no other number of the
+    oscillator, with a sweep over at least ten belt speeds and starts and no other parameter of the
     chain; or if its cycles do not fold.
     """
     swept = [name for name in grid if name in chain.parameters()]
@@ -428,8 +428,8 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
     return xr.Dataset(variables, attrs={"cut_off": branch.cut_off} if branch.cut_off else {})
 
 
-def circumstances(command: str = "") -> dict[str, str]:
-    """The circumstances of results besides the scene; `command` is the command line."""
+def origin_attributes(command: str = "") -> dict[str, str]:
+    """The origin of results besides the scene, as attributes; `command` is the command line."""
     devices = jax.devices()
     return {
         # An argument may be bytes that are not text.

@@ -99,14 +99,14 @@ class AbstractExperiment(Table):
 
     @abc.abstractmethod
     def given(self, name: str) -> Any:
-        """The value of a number of the model or its friction in the scene."""
+        """The value of a parameter of the model or its friction in the scene."""
 
     @abc.abstractmethod
     def _problems(self) -> Iterator[_Problem]:
         """What is wrong with several keys together."""
 
     def friction_numbers(self) -> tuple[str, ...]:
-        """Names of the numbers of the friction law, width last."""
+        """Names of the parameters of the friction law, width last."""
         table = self.friction
         fields = tuple(name for name in FRICTION if name in type(table).model_fields)
         return (*(table.model_extra or ()), *fields)
@@ -127,8 +127,8 @@ class AbstractExperiment(Table):
 
     def stored(self) -> bool:
         """Whether its runs use a store."""
-        asked = self.numerics.store
-        return self.lanes() > MOST_UNSTORED if asked is None else asked
+        requested = self.numerics.store
+        return self.lanes() > MOST_UNSTORED if requested is None else requested
 
     def fits_memory(self) -> bool:
         """Whether its results fit into memory."""
@@ -152,19 +152,19 @@ class AbstractExperiment(Table):
     def _observer_misfits(self) -> Iterator[_Problem]:
         n = self.n
         for i, other in enumerate(self.observe.others or []):
-            place = ("observe", "others", i)
+            path = ("observe", "others", i)
             if isinstance(other, tables.CustomObserverTable):
                 continue
             masses = other.model_dump(include={"oscillator", "oscillators", "middle"})
             for key, given in masses.items():
                 if given is not None and np.max(given) > n:
                     message = f"must lie in 1 ... {n} (`n`), but is {given}"
-                    yield (*place, key), message
+                    yield (*path, key), message
             if isinstance(other, tables.FrontTrackTable):
                 part = (self.time.transient + self.time.window) / other.windows
                 if part < 4 * math.pi:
                     yield (
-                        (*place, "windows"),
+                        (*path, "windows"),
                         f"would be parts of {part:.3g} time units, and {4 * math.pi:.4g}, two "
                         "periods, are the least: lower it, or lengthen the run",
                     )
@@ -247,7 +247,7 @@ class Experiment(AbstractExperiment):
         return self.chain.friction
 
     def given(self, name: str) -> Any:
-        """The value of a number of the chain or its friction in the scene."""
+        """The value of a parameter of the chain or its friction in the scene."""
         return getattr(self.chain if name in CHAIN else self.chain.friction, name)
 
     def sweepable(self) -> tuple[str, ...]:
@@ -524,8 +524,8 @@ def load_scene(scene: str, overrides: Sequence[str] = ()) -> LoadedScene:
     """
     name, data = read_scene(scene, overrides)
     # Files that the scene names are in the same folder.
-    place = Path(scene)
-    folder = place if scene not in builtin_scenes() and os.path.isdir(place) else place.parent
+    path = Path(scene)
+    folder = path if scene not in builtin_scenes() and os.path.isdir(path) else path.parent
     try:
         return LoadedScene(name, Scene.model_validate(data, context={"folder": folder}))
     except ValidationError as error:
@@ -572,13 +572,13 @@ def _problem(detail: Any) -> str:
     kind, location, value = detail["type"], detail["loc"], detail["input"]
     message = detail["msg"].removeprefix("Value error, ")
     if kind == "extra_forbidden":
-        key, (path, kinds) = str(location[-1]), _place(location[:-1])
+        key, (path, kinds) = str(location[-1]), _table_path(location[:-1])
         path = [*path, as_key(key)]
         allowed = [name for table in kinds for name in table.model_fields]
         near = did_you_mean(key, allowed)
         message = f"is not a known key{near}; allowed: {', '.join(allowed)}"
     else:
-        path, kinds = _place(location)
+        path, kinds = _table_path(location)
     bounds = {"ge": "at least", "gt": "greater than", "le": "at most", "lt": "less than"}
     for bound in bounds.keys() & detail.get("ctx", {}).keys():
         limit = detail["ctx"][bound]
@@ -598,7 +598,7 @@ def _problem(detail: Any) -> str:
     return f"{'.'.join(path)}: {message}" if path else message
 
 
-def _place(location: Sequence[int | str]) -> tuple[list[str], list[type[Table]]]:
+def _table_path(location: Sequence[int | str]) -> tuple[list[str], list[type[Table]]]:
     """(the keys in the file for a location of pydantic, the tables that may be there).
 
     A location also names the kind that pydantic chose among several.

@@ -194,7 +194,7 @@ Masses: TypeAlias = Annotated[
 
 
 def _numbers(*names: str, several: bool = False) -> Callable[[type[T]], type[T]]:
-    """Gives a table the keys of these numbers of a chain or law, after its own.
+    """Gives a table the keys of these parameters of a chain or law, after its own.
 
     `several`: also one for each mass or spring.
     """

@@ -13,7 +13,7 @@ import jax
 import jax.tree_util as jtu
 import numpy as np
 
-from ..model.provenance import circumstances, parameters_of
+from ..model.provenance import environment, parameters_of
 from ..observers.base import Variable, states_at_times
 from ..observers.samples import Trajectory
 from ..result import NAMES, code, ended_well
@@ -61,7 +61,7 @@ def describe(
         "t0": t0,
         "t1": t1,
         "observers": repr(plan.observers),
-        **circumstances(),
+        **environment(),
     }
 
 

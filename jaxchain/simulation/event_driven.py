@@ -87,13 +87,13 @@ def in_rounds(
         return (inner[0] < ROUND) & any_goes_on(inner[1])
 
     def one(inner: Any) -> Any:
-        place, carry, notes, count = inner
+        index, carry, notes, count = inner
         counts = in_loop(goes_on(carry))
         carry, noted = step(carry, counts)
         notes = jtu.tree_map(
-            lambda all, one: lax.dynamic_update_index_in_dim(all, one, place, 0), notes, noted
+            lambda all, one: lax.dynamic_update_index_in_dim(all, one, index, 0), notes, noted
         )
-        return place + 1, carry, notes, count + counts
+        return index + 1, carry, notes, count + counts
 
     def one_round(outer: Any) -> Any:
         carry, notes = outer
@@ -157,15 +157,15 @@ def head_start(
     to stick, or is released, has no acceleration then.  The other displacements of its cell feel
     the change of friction.
     """
-    d, place = len(state) // 2, field.contact
+    d, contact = len(state) // 2, field.contact
     through = hits & (modes.direction != STICK) & (new.direction != STICK)
     rate = motion(field, t, state, new.direction)[d:]
-    gains = [jnp.where(through, since * rate[place - d], 0.0)] * d
+    gains = [jnp.where(through, since * rate[contact - d], 0.0)] * d
     if d > 1:
         change = friction_at_rest(field, t, state, new.direction)
         change = since * (change - friction_at_rest(field, t, state, modes.direction))
         for i, share in enumerate(field.compliance()):
-            if i != place - d:
+            if i != contact - d:
                 gains[i] = jnp.where(hits, 0.0 if share is None else -share * change, 0.0)
     return gains
 
@@ -369,19 +369,19 @@ class EventDrivenPlan(AbstractPlan):
         The accumulators change only if it `counts`.  If `noting`, it also returns the notes of
         observers that take notes.
         """
-        frozen = lax.stop_gradient
+        constant = lax.stop_gradient
         memory, t0, before = progress.memory, progress.t, progress.state
         modes = memory.modes
         series = expand(field, t0, before, modes, self.order, memory.friction)
         left = end - t0
         per_scale = [
             1.0 / (self.atol + self.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])))
-            for x, v in frozen(list(zip(series.x, series.v, strict=True)))
+            for x, v in constant(list(zip(series.x, series.v, strict=True)))
         ]
-        bearable = frozen(_step_length(self.order, series, per_scale))
+        bearable = constant(_step_length(self.order, series, per_scale))
         bearable = jnp.minimum(jnp.minimum(bearable, self.max_step), memory.longest)
         length = jnp.minimum(left, bearable)
-        until, hits = next_event(*frozen((field, series, modes, length)))
+        until, hits = next_event(*constant((field, series, modes, length)))
         length = jnp.where(until < length, until, length)
         meets = (length >= left) & ~jnp.any(hits)
 
@@ -390,7 +390,7 @@ class EventDrivenPlan(AbstractPlan):
         of_events, shift = shifts(field, series, modes, lengths, hits)
         length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         # Each is computed once: see `materialize`.
-        d, place = len(series.x), field.contact
+        d, contact = len(series.x), field.contact
         x = [materialize(value(part, lengths), flat=True) for part in series.x]
         v, slopes = zip(*[value_and_slope(part, lengths) for part in series.v], strict=True)
         v = [materialize(part, flat=True) for part in v]
@@ -402,10 +402,10 @@ class EventDrivenPlan(AbstractPlan):
         # The truncated series errs by v_{p+1} h^{p+1}, its derivative by (p + 1) v_{p+1} h^p.  So
         # h / (p + 1) times the difference from the rate at the end is the error of the step, and
         # far greater if the series at its start does not know what follows.
-        mu, known = friction_coefficient(field, state[place], new.direction, series.w[0])
+        mu, known = friction_coefficient(field, state[contact], new.direction, series.w[0])
         chosen = free_as_chosen(field, series, t1, state, free)
         right = rates(field, chosen, mu, modes.direction)
-        gaps = [frozen(a - b) for a, b in zip(slopes, right, strict=True)]
+        gaps = [constant(a - b) for a, b in zip(slopes, right, strict=True)]
         defect = materialize(_greatest(gaps, per_scale))  # NaN if any number is
         accepted = length * defect <= _BEARABLE * (self.order + 1)
         finite = jnp.isfinite(defect)
@@ -414,7 +414,7 @@ class EventDrivenPlan(AbstractPlan):
         kept = state, new, known
         state, new, known = where(accepted, kept, (before, modes, memory.friction))
         stalled = jnp.where(t1 > t0, 0, memory.stalled + 1)
-        longest = jnp.where(accepted, _RECOVERY * memory.longest, 0.5 * frozen(length))
+        longest = jnp.where(accepted, _RECOVERY * memory.longest, 0.5 * constant(length))
 
         accumulators, result, notes = progress.accumulators, progress.result, []
         if self.observers:

@@ -51,8 +51,8 @@ class Method(PrintedAsCall, eqx.Module):
     - `solver`: `EventDriven()` for dry friction, else `Rodas4()` down to a tolerance of 1e-7 and
       `Rodas5P()` below.  Smoothed friction also works with any diffrax solver for one term, and
       with `EventDriven()`, which ignores the width.
-    - `rtol`: the relative tolerance of a step, 1e-6, or less where friction turns round within a
-      narrow width: width / [3 sqrt(min(n, 20)) (|v_d| + 0.1)].
+    - `rtol`: the relative tolerance of a step, 1e-6, or less where friction changes its sign
+      within a narrow width: width / [3 sqrt(min(n, 20)) (|v_d| + 0.1)].
     - `atol`: the absolute one, rtol / 10.
     - `max_step`: the longest step, 0.5 (dimensionless time; a period is about 2 pi).
     - `max_steps`: the greatest number of steps, accepted or rejected; without it no limit.

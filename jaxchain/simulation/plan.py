@@ -84,13 +84,13 @@ class StateRecord(eqx.Module):
     def keep(self, t: Array, state: State) -> StateRecord:
         """The record with the state, if the next time has come at t."""
         here: Any = self.next_time() <= t
-        place = jnp.minimum(self.count, self.times.shape[0] - 1)
+        index = jnp.minimum(self.count, self.times.shape[0] - 1)
         # In reverse mode these are buffers, which must be written in this form.
         states = tuple(
-            buffer_at_set(kept, place, now, pred=here)
+            buffer_at_set(kept, index, now, pred=here)
             for kept, now in zip(self.states, state, strict=True)
         )
-        count = jnp.where(here, self.following[place], self.count)
+        count = jnp.where(here, self.following[index], self.count)
         return StateRecord(self.times, self.following, states, count)
 
     def read(self) -> tuple[Array, ...]:

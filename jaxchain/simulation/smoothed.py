@@ -300,10 +300,10 @@ class SmoothedPlan(AbstractPlan):
         The first steps are the `repeated` ones.  At most `recorded` ends are returned.
         """
         successful, choose = dfx.RESULTS.successful, dfx.RESULTS.where
-        frozen = lax.stop_gradient
+        constant = lax.stop_gradient
         direction = jnp.where(t1 < progress.t, -1.0, 1.0)
         last = direction * t1
-        nearly = frozen(last)
+        nearly = constant(last)
         nearly = nearly - _ULPS * (nearly - jnp.nextafter(nearly, -jnp.inf))
         controller = self.controller(field).wrap(direction)
         adapt: Any = controller.adapt_step_size
@@ -316,7 +316,7 @@ class SmoothedPlan(AbstractPlan):
 
         def end_of_step(t: Array, end: Array) -> Array:
             """It moves with the start t, because step sizes are held fixed, or with the run."""
-            return jnp.where(end > nearly, last, frozen(end) + (t - frozen(t)))
+            return jnp.where(end > nearly, last, constant(end) + (t - constant(t)))
 
         def goes_on(run: _Run) -> Array:
             now = run.now
@@ -330,7 +330,7 @@ class SmoothedPlan(AbstractPlan):
             y, error, dense, inner, solved = (step or usual_step)(t0, t1, now.state, memory.solver)
             error = jtu.tree_map(lambda e: jnp.where(jnp.isnan(e), jnp.inf, e), error)
             kept, _, ahead, _, control, controlled = adapt(
-                *frozen((now.t, end, now.state, y, None, error)), order, memory.controller
+                *constant((now.t, end, now.state, y, None, error)), order, memory.controller
             )
             given = False
             if repeated is not None:
@@ -353,7 +353,7 @@ class SmoothedPlan(AbstractPlan):
             if repeated is not None:
                 result = repeated.result(now.steps + 1, result)
             # A last step that was clipped to the end of the run does not predict the next one.
-            size = jnp.maximum(frozen(end - now.t), 0.5 * memory.step_size)
+            size = jnp.maximum(constant(end - now.t), 0.5 * memory.step_size)
             taken = Progress(
                 t=end,
                 state=y,
@@ -370,13 +370,13 @@ class SmoothedPlan(AbstractPlan):
                 rejected=now.rejected + 1,
             )
             new = where(kept, taken, refused)
-            place = now.steps - progress.steps
+            index = now.steps - progress.steps
             new_run = _Run(
                 now=new,
                 ahead=end_of_step(new.t, ahead),
                 outcome=outcome,
                 records=[_record(r, kept, t1, inside, adjoint) for r in run.records],
-                ends=[buffer_at_set(ends, place, end, pred=kept) for ends in run.ends],
+                ends=[buffer_at_set(ends, index, end, pred=kept) for ends in run.ends],
             )
             same = dataclasses.replace(now, accumulators=accumulators)
             return where(counts, new_run, dataclasses.replace(run, now=same))
@@ -402,7 +402,7 @@ class SmoothedPlan(AbstractPlan):
         now = run.now
         cut = now.running & (run.outcome == successful) & (now.t < last)
         # A run that is cut between two steps continues as if it were not.
-        size = jnp.where(cut, frozen(run.ahead - now.t), now.memory.step_size)
+        size = jnp.where(cut, constant(run.ahead - now.t), now.memory.step_size)
         if repeated is not None:
             size = jnp.where(repeated.complete, repeated.last.memory.step_size, size)
         result = Result.where(cut, Result.max_steps_reached, _translate(run.outcome, solver))

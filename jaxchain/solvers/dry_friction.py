@@ -250,11 +250,11 @@ def _free_series(
 
 def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     """The state, with masses near the belt speed set to it, and the modes of the masses."""
-    place, speed = chain.contact, chain.belt_speed
-    v = state[place]
+    index, speed = chain.contact, chain.belt_speed
+    v = state[index]
     w = v - speed
     touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
-    state = (*state[:place], jnp.where(touching, speed, v), *state[place + 1 :])
+    state = (*state[:index], jnp.where(touching, speed, v), *state[index + 1 :])
     resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
     free = chain.accelerations(t, state)
     return state, _met(chain, free, resting, touching, jnp.zeros_like(touching))
@@ -278,9 +278,9 @@ def after(
     At its end the masses in `hits` have their events.  `moved`: whether time went on; if so, the
     others have left w = 0 behind.
     """
-    lands, place = hits & (modes.direction != STICK), chain.contact
-    v = jnp.where(lands, chain.belt_speed, state[place])
-    state = (*state[:place], v, *state[place + 1 :])
+    lands, contact = hits & (modes.direction != STICK), chain.contact
+    v = jnp.where(lands, chain.belt_speed, state[contact])
+    state = (*state[:contact], v, *state[contact + 1 :])
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
     free = chain.accelerations(t, state)
     return state, _met(chain, free, modes, lands, hits & ~lands), free

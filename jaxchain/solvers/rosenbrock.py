@@ -296,16 +296,16 @@ def _inverse(h: Array) -> Array:
     return 1.0 / jnp.where(h == 0, 1.0, h)
 
 
-def _growth(field: AbstractOscillators, h: Array, held: Any, slope: Array) -> Array:
-    """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + held = 0.
+def _growth(field: AbstractOscillators, h: Array, stiffness: Any, slope: Array) -> Array:
+    """The greatest h Re(lambda) of single masses, lambda^2 - slope lambda + stiffness = 0.
 
     The springs of neighbours are assumed to have their greatest effect.
     """
     if field.springs is not None:
-        held = held - field.springs.strength(slope.shape[0])
+        stiffness = stiffness - field.springs.strength(slope.shape[0])
     half = 0.5 * slope
-    oscillates = half**2 <= held
-    root = jnp.sqrt(jnp.where(oscillates, 1.0, half**2 - held))
+    oscillates = half**2 <= stiffness
+    root = jnp.sqrt(jnp.where(oscillates, 1.0, half**2 - stiffness))
     return jnp.max(h * half + jnp.where(oscillates, 0.0, jnp.abs(h) * root))
 
 
@@ -370,7 +370,7 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
       error is at most rho^(sweeps+1) / (1-rho) of a stage, with rho <= 2 eta_c (h gamma)^2 to
       leading order.  This bound is part of the error estimate of each step.  A step with a bound
       above 1e-3 is rejected, or fails with a constant step. `simulate` chooses `sweeps` from the
-      numbers of the chain.
+      parameters of the chain.
 
     It works with `diffeqsolve`, any controller, `SaveAt`, `vmap`, and forward- or reverse-mode
     differentiation; y0 is the pair (displacement, velocity).  Steps may run backward in time.
@@ -461,8 +461,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         force, slopes = field.local_force_and_slopes(t, x, v)
         h_t, h_x = slopes.time, slopes.displacement
         stiffness = spread(field.stiffness_diagonal(n), x)
-        held = stiffness if h_x is None else stiffness - h_x
-        diagonal = per_h / tab.gamma - slopes.velocity + hg * held
+        tangent_stiffness = stiffness if h_x is None else stiffness - h_x
+        diagonal = per_h / tab.gamma - slopes.velocity + hg * tangent_stiffness
         springs = field.springs
         solver = spring_solver(diagonal, springs, hg, self.sweeps, flat=known)
         pulls = None if springs is None else [spread(springs.product(p), x) for p in y0]
@@ -496,14 +496,14 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         error = (hs * (tab.alpha[-1] * v + _combine(tab.beta[-1], b)), b[-1])
         checks = []
         if jax.eval_shape(field.growth_time) is None:  # computes nothing
-            checks.append(_growth(field, h, held, slopes.velocity) <= _MOST_GROWTH)
+            checks.append(_growth(field, h, tangent_stiffness, slopes.velocity) <= _MOST_GROWTH)
         error, result = self._judged(solver, error, [[], b], checks)
         return y1, error, {"y0": y0, "y1": y1, "h": h, "b": tuple(b)}, None, result
 
     def _step_of_cells(
         self, field: AbstractCells, t: Array, h: Array, y0: State, rolled: bool
     ) -> tuple[State, State, dict, None, dfx.RESULTS]:
-        """The same with all m numbers of every stage: one block tridiagonal solve each."""
+        """The same with all m variables of every stage: one block tridiagonal solve each."""
         tab, m = self.tableau, len(y0)
         per_h = _inverse(h)
         here = field.linearised(t, y0)
@@ -524,8 +524,8 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
             return solver.solve(right)
 
         stages = _stages(tab, stage, list(y0), rolled)
-        place = moved(tab._row(len(tab.c) - 1), stages[:-1])
-        y1 = tuple(place[k] + stages[-1][k] for k in range(m))
+        last = moved(tab._row(len(tab.c) - 1), stages[:-1])
+        y1 = tuple(last[k] + stages[-1][k] for k in range(m))
         # A pivot of another sign than h: something grows by more than e^(1/gamma) in the step.
         checks = [jnp.all(jnp.stack([pivot * h for pivot in solver.pivots]) > 0)]
         error, result = self._judged(

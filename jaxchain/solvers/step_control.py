@@ -33,7 +33,7 @@ NEAR = 8.0
 LANDING = 5.4
 # The force falls within two widths on either side: three are the longest step that sees it.
 CROSSING = 3.0
-# While a held mass creeps outward between the first two |w|, in widths, a step changes w by a
+# While a sticking mass creeps outward between the first two |w|, in widths, a step changes w by a
 # quarter of a width at the rate of the step before; at half a width some steps miss the release of
 # narrow widths.  Between the last two an error of the velocity is hardly damped any more, and the
 # mass is still slow.
@@ -185,24 +185,24 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         acceleration = self.field.release_acceleration()
         if acceleration is None or not isinstance(error, tuple):
             return error
-        place = min(self.field.contact, len(error) - 1)
+        contact = min(self.field.contact, len(error) - 1)
         change = jnp.abs(w - start)
         leaves = (w * (w - start) > 0.0) & (jnp.abs(start) < FREE * width)
         leaves = leaves & (jnp.abs(w) > RELEASED * width)
         slow = jnp.where(leaves, jnp.maximum(change, STILL * width), 1.0)
         weight = jnp.where(leaves, jnp.maximum(SHARE * acceleration * h / slow, 1.0), 1.0)
-        weighted = lax.stop_gradient(weight) * error[place]
-        return (*error[:place], weighted, *error[place + 1 :])
+        weighted = lax.stop_gradient(weight) * error[contact]
+        return (*error[:contact], weighted, *error[contact + 1 :])
 
     def _curvature(self, h: Any, y0: State, y1: State) -> Any:
         """c of v = (1 - s / h) v_0 + (s / h) v_1 + c s (s - h) with the mean (x_1 - x_0) / h."""
-        place = self.field.contact
-        of = [k for k in range(len(y0)) if self.field.velocity_of(k) == place]
+        contact = self.field.contact
+        of = [k for k in range(len(y0)) if self.field.velocity_of(k) == contact]
         if not of:
             return 0.0  # the integral of v need not be among the variables
         x = of[0]
         mean = (self.direction / h) * (y1[x] - y0[x])  # x' = -v while time runs backward
-        ends = 0.5 * (y0[place] + y1[place])
+        ends = 0.5 * (y0[contact] + y1[contact])
         return (6.0 / h**2) * (ends - mean)
 
     def _longest_step(

@@ -169,7 +169,7 @@ class _Expansion:
         name, series, here = step.primitive.name, *map(list, zip(*operands, strict=True))
         if name == "abs" and self.alone and series[0] is self.arguments[0]:  # of a speed
             return [operands[0]]
-        # What gives no real numbers finds a case or a place: comparisons, or a search in a table.
+        # What gives no real numbers finds a case or an index: comparisons, or a search in a table.
         decides = name in _STEPS or not any(
             jnp.issubdtype(out.aval.dtype, jnp.floating) for out in step.outvars
         )
@@ -728,8 +728,8 @@ def _time_inside(q: Any, slope: Any, lower: Any, upper: Any, curvature: Any) -> 
     ahead, behind = jnp.where(rises, up, down), jnp.where(rises, down, up)
     speed = jnp.abs(slope)
     more = ahead - behind
-    turns = (more > 0) & (4.0 * speed**2 * (ahead + behind) < curvature * more**2)
-    distance = jnp.where(turns, behind, ahead)
+    behind_first = (more > 0) & (4.0 * speed**2 * (ahead + behind) < curvature * more**2)
+    distance = jnp.where(behind_first, behind, ahead)
     root = speed + jnp.sqrt(speed**2 + 2.0 * curvature * distance)
-    covered = jnp.where(turns, root, 2.0 * distance)
-    return covered / jnp.maximum(jnp.where(turns, curvature, root), 1e-300)
+    covered = jnp.where(behind_first, root, 2.0 * distance)
+    return covered / jnp.maximum(jnp.where(behind_first, curvature, root), 1e-300)

@@ -59,7 +59,7 @@ def check_axes(
             axes[dim] = {name: np.asarray(given[name]) for name in given}
             continue
         values = np.asarray(given)
-        # One number per mass, or a matrix, for each run: drawn at random, as a rule.
+        # One parameter per mass, or a matrix, for each run: drawn at random, as a rule.
         drawn = values.ndim > 1 and model.has_parameter(dim)
         axes.setdefault("realisation" if drawn else dim, {})[dim] = values
     names = [name for columns in axes.values() for name in columns]
@@ -135,10 +135,10 @@ def _check_column(dim: str, name: str, columns: dict[str, np.ndarray]) -> None:
 def jobs(axes: Axes) -> dict[str, np.ndarray]:
     """The values of every parameter in each lane, of shape (lanes, ...)."""
     shape = tuple(sizes(axes).values())
-    places = np.indices(shape).reshape(len(shape), -1)
+    indices = np.indices(shape).reshape(len(shape), -1)
     return {
-        name: values[place]
-        for place, columns in zip(places, axes.values(), strict=True)
+        name: values[index]
+        for index, columns in zip(indices, axes.values(), strict=True)
         for name, values in columns.items()
     }
 
@@ -151,20 +151,20 @@ def extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
     swept = {
         k: (dim, v) for dim, columns in axes.items() for k, v in columns.items() if k in names
     }
-    places: list[dict[str, int]] = []
+    corners: list[dict[str, int]] = []
     for dim, v in swept.values():
         ends = (np.argmin(v), np.argmax(v)) if v.ndim == 1 else (0, len(v) - 1)
-        places += [{dim: int(end)} for end in ends]
+        corners += [{dim: int(end)} for end in ends]
     if {"mu_static", "mu_dynamic"} <= swept.keys():
         (dim, static), (other, dynamic) = swept["mu_static"], swept["mu_dynamic"]
         if dim == other:
-            places.append({dim: int(np.argmin(static - dynamic))})
+            corners.append({dim: int(np.argmin(static - dynamic))})
         else:
-            places.append({dim: int(np.argmin(static)), other: int(np.argmax(dynamic))})
-    different = {tuple(sorted(place.items())): place for place in places}
+            corners.append({dim: int(np.argmin(static)), other: int(np.argmax(dynamic))})
+    different = {tuple(sorted(corner.items())): corner for corner in corners}
     return [
-        {name: v[place.get(dim, 0)] for name, (dim, v) in swept.items()}
-        for place in different.values()
+        {name: v[corner.get(dim, 0)] for name, (dim, v) in swept.items()}
+        for corner in different.values()
     ]
 
 
@@ -223,8 +223,8 @@ class Grid:
     def region(self, key: Key) -> dict[str, slice]:
         """The slices of a block, by dimension."""
         return {
-            dim: slice(place * self.chunks[dim], min((place + 1) * self.chunks[dim], n))
-            for place, (dim, n) in zip(key, self.sizes.items(), strict=True)
+            dim: slice(index * self.chunks[dim], min((index + 1) * self.chunks[dim], n))
+            for index, (dim, n) in zip(key, self.sizes.items(), strict=True)
         }
 
     def size_of(self, key: Key) -> int:

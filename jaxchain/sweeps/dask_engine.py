@@ -25,7 +25,7 @@ from .._checks import check_count, check_flag, check_kind
 from .._configure import configure, cores, has_computed
 from .._limits import MOST_WORKERS
 from .axes import Block
-from .ensemble import DEVICES, Ensemble, circumstances_of_numbers, flags
+from .ensemble import DEVICES, Ensemble, environment_of_numbers, flags
 from .scheduler import Scheduler
 from .store import Store, StoreError, differences
 
@@ -56,7 +56,7 @@ def fill_by(
     from distributed import as_completed
 
     sweep = cloudpickle.dumps((ensemble.settings, ensemble.first_job().axes))
-    same = sweep, circumstances_of_numbers(), store.lanes, store.grid.block_size
+    same = sweep, environment_of_numbers(), store.lanes, store.grid.block_size
     waiting, kinds = iter(blocks), {}
     under_way: dict[str, Block] = {}
 
@@ -104,7 +104,7 @@ _latest: dict[tuple[bytes, int], Scheduler] = {}
 
 def _compute(
     sweep: bytes,
-    circumstances: Mapping[str, Any],
+    client_environment: Mapping[str, Any],
     lanes: int,
     largest: int,
     jobs: dict[str, np.ndarray],
@@ -114,7 +114,7 @@ def _compute(
 
     with _one_at_a_time:
         if (sweep, lanes) not in _latest:
-            _set_up(circumstances)
+            _set_up(client_environment)
             settings, axes = cloudpickle.loads(sweep)
             _latest.clear()
             ensemble = Ensemble(settings, axes)
@@ -124,7 +124,7 @@ def _compute(
         return block.records, {str(device): device.device_kind for device in runner.devices}
 
 
-def _set_up(circumstances: Mapping[str, Any]) -> None:
+def _set_up(client_environment: Mapping[str, Any]) -> None:
     """Configures JAX as in the client's process, before any JAX object is unpickled.
 
     Otherwise its floats would have 32 bits.  The number of devices is that of the environment, or
@@ -132,11 +132,11 @@ def _set_up(circumstances: Mapping[str, Any]) -> None:
     """
     from distributed import get_worker
 
-    options = circumstances["XLA_FLAGS"]
+    options = client_environment["XLA_FLAGS"]
     if flags() != options and not has_computed():
         given = [word for word in os.environ.get("XLA_FLAGS", "").split() if DEVICES in word]
         os.environ["XLA_FLAGS"] = " ".join([*given, options])
-    if differ := differences(circumstances, circumstances_of_numbers()):
+    if differ := differences(client_environment, environment_of_numbers()):
         raise StoreError(
             f"Worker {os.uname().nodename} would compute other numbers than the client, where "
             f"{'; '.join(differ)}: restart the workers, with the same versions of all packages."

@@ -60,8 +60,8 @@ from .lanes import (
     Shapes,
     SweepTask,
     chain_of_run,
+    hashable_partial,
     initial_names,
-    known_again,
     lane_and_record,
     start_of,
 )
@@ -119,7 +119,7 @@ class Ensemble:
     def starts(self) -> RunStarts:
         """The functions that make the start of each job."""
         settings = self.settings
-        functions = known_again(settings.initial), known_again(settings.vary)
+        functions = hashable_partial(settings.initial), hashable_partial(settings.vary)
         return RunStarts(settings.model, *functions, self.n)
 
     @functools.cached_property
@@ -294,7 +294,7 @@ def _check_initial(
             rows += [first | {name: jnp.asarray(value)} for value in kept]
         states = [eqx.filter_eval_shape(functools.partial(initial, model, **row)) for row in rows]
         if not varied:
-            given = known_again(initial), model
+            given = hashable_partial(initial), model
             states = [shape_of(_first_state, given, programs=start_program)]
     first = states[0]
     m = len(model.variables) or (len(first) if isinstance(first, tuple | list) else 0)
@@ -441,11 +441,11 @@ def fingerprint_of(ensemble: Ensemble, lanes: int) -> dict[str, Any]:
         "lanes": lanes,
         "dimensions": list(axes),
         "over": {dim: sorted(columns) for dim, columns in axes.items()},
-        **circumstances_of_numbers(),
+        **environment_of_numbers(),
     }
 
 
-def circumstances_of_numbers() -> dict[str, Any]:
+def environment_of_numbers() -> dict[str, Any]:
     """Properties of this process that affect numbers: versions, our code, options of XLA."""
     return {
         "versions": {k: v for k, v in versions().items() if k != "python"},

@@ -54,7 +54,7 @@ def _call(function: Callable, model: Any, values: Mapping[str, Any]) -> Any:
     return function(model, **{k: v for k, v in values.items() if k in names})
 
 
-def known_again(function: Any) -> Any:
+def hashable_partial(function: Any) -> Any:
     """The function; a `functools.partial` of numbers and words becomes comparable by value.
 
     Python compares them by identity, so one made for each sweep would be compiled each time.
@@ -73,27 +73,27 @@ class Constant(NamedTuple):
     value: Any
 
 
-class Varied(NamedTuple):
+class VariedStructure(NamedTuple):
     """The result of `vary` without its arrays, which is known when a sweep is compiled."""
 
     structure: Any
-    # For each leaf: its place among those of the chain given, None for a new array, or the leaf.
+    # For each leaf: its index in the leaves of the chain given, None for a new array, or the leaf.
     sources: tuple[int | Constant | None, ...]
 
     @staticmethod
-    def compare(given: AbstractModel, made: AbstractModel) -> tuple[Varied, list[Array]]:
+    def compare(given: AbstractModel, made: AbstractModel) -> tuple[VariedStructure, list[Array]]:
         """The unchanged leaves, and the new arrays."""
-        places = {id(leaf): place for place, leaf in enumerate(jtu.tree_leaves(given))}
+        indices = {id(leaf): index for index, leaf in enumerate(jtu.tree_leaves(given))}
         leaves, structure = jtu.tree_flatten(made)
         sources, new = [], []
         for leaf in leaves:
-            place = places.get(id(leaf))
-            if place is None and eqx.is_array(leaf):
+            index = indices.get(id(leaf))
+            if index is None and eqx.is_array(leaf):
                 new.append(jnp.asarray(leaf))
-            elif place is None:
-                place = Constant(leaf)
-            sources.append(place)
-        return Varied(structure, tuple(sources)), new
+            elif index is None:
+                index = Constant(leaf)
+            sources.append(index)
+        return VariedStructure(structure, tuple(sources)), new
 
     def make(self, given: AbstractModel, new: Sequence[Array]) -> Any:
         """The chain of a lane: the given one with the arrays from `vary`."""
@@ -108,7 +108,7 @@ class Varied(NamedTuple):
 
 
 class RunNumbers(eqx.Module):
-    """The numbers of a chain that differ between jobs, as data."""
+    """The parameters of a chain that differ between jobs, as data."""
 
     numbers: dict[str, Array]  # by name
     new: list[Array]  # the arrays that `vary` made
@@ -136,12 +136,12 @@ class RunStarts(eqx.Module):
         new = []
         if self.vary is not None:
             chain = _call(self.vary, given, values)
-            _, new = Varied.compare(given, chain)
+            _, new = VariedStructure.compare(given, chain)
         state = _call(self.initial, chain, values) if callable(self.initial) else self.initial
         parts = (jnp.broadcast_to(jnp.asarray(part, float), (self.n,)) for part in state)
         return RunStart(RunNumbers(numbers, new), tuple(parts))
 
-    def varied(self, values: Mapping[str, Array]) -> Varied | None:
+    def varied(self, values: Mapping[str, Array]) -> VariedStructure | None:
         """The leaves that `vary` does not change, found by tracing a job with these values."""
         if self.vary is None:
             return None
@@ -149,7 +149,7 @@ class RunStarts(eqx.Module):
 
         def traced(starts: Any, values: Mapping[str, Any]) -> None:
             given = with_numbers(starts.chain, values)
-            seen.append(Varied.compare(given, _call(starts.vary, given, values))[0])
+            seen.append(VariedStructure.compare(given, _call(starts.vary, given, values))[0])
 
         eqx.filter_eval_shape(traced, self, values)
         return seen[0]
@@ -168,7 +168,7 @@ class SweepTask(eqx.Module):
     t0: Array
     t1: Array
     max_steps: Array | None = None  # of a lane, accepted or rejected
-    varied: Varied | None = eqx.field(static=True, default=None)
+    varied: VariedStructure | None = eqx.field(static=True, default=None)
     segments: int | None = eqx.field(static=True, default=None)
     n: int = eqx.field(static=True, default=1)
 
@@ -338,9 +338,9 @@ def advance_pool(
         lane, over = jax.vmap(lambda *each: advance_lane(task, *each))(pool.lane, pool.job < 0)
         pool = eqx.tree_at(lambda p: p.lane, pool, lane)
         # This costs as much as some steps.
-        turns = jnp.any(over & ((pool.job >= 0) | (pool.taken < waiting)))
-        turn = functools.partial(_next_runs, task, starts, queue, waiting)
-        return lax.cond(turns, turn, lambda pool, over: pool, pool, over), done + 1
+        has_next = jnp.any(over & ((pool.job >= 0) | (pool.taken < waiting)))
+        next_runs = functools.partial(_next_runs, task, starts, queue, waiting)
+        return lax.cond(has_next, next_runs, lambda pool, over: pool, pool, over), done + 1
 
     pool, done = lax.while_loop(goes_on, one_more, (pool, jnp.zeros_like(rounds)))
     return jtu.tree_leaves(pool.lane), {
@@ -371,13 +371,13 @@ def _next_runs(
         return _where(here, one[None], all)
 
     record = jax.vmap(functools.partial(read_lane, task))(pool.lane)
-    place = pool.taken + jnp.cumsum(over) - 1
-    begins = over & (place < waiting)
-    start = jtu.tree_map(lambda a: a[place], starts)
+    index = pool.taken + jnp.cumsum(over) - 1
+    begins = over & (index < waiting)
+    start = jtu.tree_map(lambda a: a[index], starts)
     fresh = jax.vmap(functools.partial(start_lane, task))(start)
     return PoolState(
         jtu.tree_map(lambda a, b: _where(begins, a, b), fresh, pool.lane),
-        jnp.where(begins, queue[place], jnp.where(over, NO_JOB, pool.job)),
+        jnp.where(begins, queue[index], jnp.where(over, NO_JOB, pool.job)),
         pool.taken + jnp.sum(begins),
         jtu.tree_map(keep, pool.record, record),
         keep(pool.recorded, pool.job),

@@ -115,7 +115,7 @@ def ready(
     """`function(task, ...)` as a function of arguments like these, on the device or of NumPy.
 
     A call of a program takes less time for lists than for modules, and for NumPy arrays than to
-    place them first.
+    move them there first.
     """
     program, arrays = _program_of(programs, function, donated, task)
     return functools.partial(program.on(device, arrays, *arguments), arrays)
@@ -143,14 +143,14 @@ def _program_of(
         return programs(function, donated, structure, *leaves), arrays
 
 
-def place(tree: Any, device: Any) -> Any:
+def put_on_device(tree: Any, device: Any) -> Any:
     """The tree with its arrays on the device."""
 
-    def placed(leaf: Any) -> Any:  # most lie there already, and `device_put` would take long
+    def moved(leaf: Any) -> Any:  # most lie there already, and `device_put` would take long
         there = not eqx.is_array(leaf) or leaf.devices() == {device}
         return leaf if there else jax.device_put(leaf, device)
 
-    return jtu.tree_map(placed, tree)
+    return jtu.tree_map(moved, tree)
 
 
 def starter(device: Any, starts: RunStarts, values: dict[str, Any]) -> Callable[..., RunStart]:
@@ -197,7 +197,7 @@ def map_lanes(
     of rows computed since the last call.
     """
     devices, rows, parts = jax.local_devices(), len(columns[0]), []
-    tasks = {device: place(task, device) for device in devices[: -(-rows // lanes)]}
+    tasks = {device: put_on_device(task, device) for device in devices[: -(-rows // lanes)]}
     every = lanes * len(devices)
     for begin in range(0, rows, every):
         started = []

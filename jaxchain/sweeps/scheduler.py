@@ -26,7 +26,7 @@ from .._progress import progress_bar
 from .axes import Block
 from .ensemble import Ensemble
 from .lanes import NO_JOB, RunStart, RunStarts, Shapes, SweepTask, advance_pool, initial_names
-from .programs import place, ready, starter
+from .programs import put_on_device, ready, starter
 
 # Numbers per array of a device's lanes, so that the arrays of a step fit the cache of a core, or
 # many of them that of a GPU: with 2^20 numbers a sweep on an H200 took a fifth longer.
@@ -50,7 +50,7 @@ class Pool:
         self, device: Any, task: SweepTask, starts: RunStarts, width: int, shapes: Shapes
     ):
         self.device, self.width, self.queue = device, width, _queue(width)
-        self.task, self.starts = place((task, starts), device)
+        self.task, self.starts = put_on_device((task, starts), device)
         lanes = _blank(shapes.lane, width)
         self._lanes, self._structure = jtu.tree_flatten(lanes)
         self._begins: Any = _blank(shapes.start, self.queue)  # the starts of the jobs offered
@@ -58,20 +58,20 @@ class Pool:
         self._rounds = max(1, _FIRST_NUMBERS // (width * task.n))
         self._program: Callable | None = None
         self._starter: Callable | None = None
-        self._asked: dict[str, Any] | None = None
+        self._requested: dict[str, Any] | None = None
         self._since = 0.0
         self.job = np.full(width, NO_JOB)
         self.t = np.zeros(width)
         self.pace: np.ndarray | None = None  # of each lane, in run time units per second
 
     @property
-    def asked(self) -> bool:
+    def requested(self) -> bool:
         """Whether rounds have been started whose outcome is not yet read."""
-        return self._asked is not None
+        return self._requested is not None
 
     def wait(self) -> Pool:
         """The pool, as soon as its results can be read."""
-        jax.block_until_ready(self._asked)
+        jax.block_until_ready(self._requested)
         return self
 
     @property
@@ -85,7 +85,7 @@ class Pool:
             self._starter = starter(self.device, self.starts, values)
         return self._starter(values)
 
-    def go_on(
+    def advance(
         self, values_of: Callable[[np.ndarray], dict], offered: np.ndarray, more: bool
     ) -> None:
         """Starts some more rounds, with the numbers of the jobs offered as the queue."""
@@ -100,13 +100,13 @@ class Pool:
                 advance_pool, self.device, task, self._lanes, *given, donated=(1,)
             )
         self._since = time.perf_counter()  # without the compilation
-        self._lanes, self._asked = self._program(self._lanes, *given)
+        self._lanes, self._requested = self._program(self._lanes, *given)
 
     def outcome(self) -> tuple[np.ndarray, dict[str, Any], np.ndarray]:
         """The jobs that have ended, their record, and those offered that have not begun."""
         # Copies, because the device overwrites its arrays.
-        arrays: Any = jtu.tree_map(np.array, self._asked)
-        self._asked = None
+        arrays: Any = jtu.tree_map(np.array, self._requested)
+        self._requested = None
         seconds = max(time.perf_counter() - self._since, 1e-9)
         stays = (self.job == arrays["job"]) & self.busy
         self.pace = np.where(stays, (arrays["t"] - self.t) / seconds, np.nan)
@@ -137,7 +137,7 @@ class _Open:
     first: int  # number of its first job
     left: int  # jobs that have not ended
 
-    def mine(self, numbers: np.ndarray) -> np.ndarray:
+    def owned(self, numbers: np.ndarray) -> np.ndarray:
         """Which of these jobs belong to the block."""
         return (numbers >= self.first) & (numbers < self.first + self.block.size)
 
@@ -221,10 +221,10 @@ class Scheduler:
         try:
             with ThreadPoolExecutor(len(self.pools), "device") as threads:
                 while True:
-                    idle = [pool for pool in self.pools if not pool.asked]
+                    idle = [pool for pool in self.pools if not pool.requested]
                     for pool in idle:
-                        self._go_on(pool)
-                    computing |= {threads.submit(pool.wait) for pool in idle if pool.asked}
+                        self._advance(pool)
+                    computing |= {threads.submit(pool.wait) for pool in idle if pool.requested}
                     if not computing:
                         break
                     ready, computing = wait(computing, return_when=FIRST_COMPLETED)
@@ -234,7 +234,7 @@ class Scheduler:
                         bar.refresh()
         except KeyboardInterrupt:
             for pool in self.pools:
-                if pool.asked:
+                if pool.requested:
                     self._collect(pool, ended)
             raise
 
@@ -254,10 +254,10 @@ class Scheduler:
         """The values of these jobs, from the open blocks."""
         values: dict[str, np.ndarray] = {}
         for open_block in self._open:
-            mine = open_block.mine(numbers)
+            owned = open_block.owned(numbers)
             for name, all in open_block.block.jobs.items():
                 blank = np.empty((len(numbers), *all.shape[1:]), all.dtype)
-                values.setdefault(name, blank)[mine] = all[numbers[mine] - open_block.first]
+                values.setdefault(name, blank)[owned] = all[numbers[owned] - open_block.first]
         return values
 
     def _order(self, jobs: dict[str, np.ndarray]) -> np.ndarray:
@@ -283,7 +283,7 @@ class Scheduler:
         dealt = [order[: size * count][i::count] for i in range(count)]
         return np.concatenate([*dealt, order[size * count :]])
 
-    def _go_on(self, pool: Pool) -> None:
+    def _advance(self, pool: Pool) -> None:
         """Offers the pool the first waiting jobs: its share, or as many as it has idle lanes."""
         if self.waiting.size < sum(pool.queue for pool in self.pools):
             self._next_block()
@@ -294,19 +294,19 @@ class Scheduler:
             return
         if not self.fixed and not offered.size:
             self._shrink(pool)
-        pool.go_on(self._values, offered, more=self.waiting.size > 0)
+        pool.advance(self._values, offered, more=self.waiting.size > 0)
 
     def _collect(self, pool: Pool, ended: Callable[[Block], object]) -> int:
         """Stores the records of the lanes that have ended; returns their number."""
         jobs, record, left = pool.outcome()
         self.waiting = np.concatenate([left, self.waiting]) if left.size else self.waiting
         for open_block in list(self._open):
-            mine = open_block.mine(jobs)
-            at = jobs[mine] - open_block.first
+            owned = open_block.owned(jobs)
+            at = jobs[owned] - open_block.first
             for all, one in zip(
                 *map(jtu.tree_leaves, (open_block.block.records, record)), strict=True
             ):
-                all[at] = one[mine]
+                all[at] = one[owned]
             open_block.left -= len(at)
             if open_block.left == 0:
                 self._open.remove(open_block)

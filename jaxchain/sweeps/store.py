@@ -119,7 +119,7 @@ class Store:
         return [key for key in grid.all_keys() if key not in done]
 
     def _create(self, layout: Mapping[str, Any], sample: Callable[[], Dataset]) -> None:
-        """Creates the store in a temporary folder, locked, and moves it to its place."""
+        """Creates the store in a temporary folder, locked, and moves it to its path."""
         path = self.path
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise ValueError(
@@ -142,7 +142,7 @@ class Store:
         import zarr
         from xarray import conventions
 
-        region, places = self.grid.region(key), dict(zip(self.grid.sizes, key, strict=True))
+        region, indices = self.grid.region(key), dict(zip(self.grid.sizes, key, strict=True))
         files = []
         with _as_store_errors(self.path):
             if read_layout(self.path) is None:
@@ -158,7 +158,7 @@ class Store:
                     self._arrays[name] = zarr.open_array(self.path / name, mode="r+")
                 array = self._arrays[name]
                 encoded = conventions.encode_cf_variable(data[name].variable)
-                chunk = tuple(places.get(str(dim), 0) for dim in encoded.dims)
+                chunk = tuple(indices.get(str(dim), 0) for dim in encoded.dims)
                 files.append(self.path / name / array.metadata.encode_chunk_key(chunk))
                 # At the edge of the grid zarr would read it first, and it may be incomplete.
                 files[-1].unlink(missing_ok=True)
@@ -441,7 +441,7 @@ def _unit_count(layout: Mapping[str, Any]) -> int:
 
 
 def _units(path: Path) -> Iterator[tuple[tuple[int, ...], np.ndarray, float]]:
-    """The place, results and time of writing of each complete unit."""
+    """The key, results and time of writing of each complete unit."""
     import zarr
 
     try:

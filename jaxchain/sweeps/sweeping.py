@@ -95,7 +95,7 @@ def sweep(
     - `initial`: the pair (x, v) (of cells a tuple of m arrays), or a function (chain, **own) ->
       (x, v) that JAX can trace; its other parameters come from `over`.
     - `t1`, `t0`: dimensionless times.
-    - `over`: an ordered mapping from names to arrays.  A name is a number of the
+    - `over`: an ordered mapping from names to arrays.  A name is a parameter of the
       chain or of its friction law (`belt_speed`, `damping_ratio`, `coupling`, `width`,
       `mu_static`, ...), or a parameter of `initial` or `vary` (`excited`, a seed, ...).  To vary
       several of them together, such as measured sets or random starts, map a dimension to a
@@ -189,7 +189,7 @@ def sweep(
     except KeyboardInterrupt:
         interrupted = True
     attrs = {"lanes_per_device": runner.lanes, "lanes_per_device_at_end": runner.lanes_at_end}
-    attrs |= _circumstances(started, _kinds(runner.devices))
+    attrs |= _run_attributes(started, _kinds(runner.devices))
     dataset = ensemble.dataset(block, ensemble.attrs | attrs)
     if interrupted:
         raise SweepInterrupted(dataset)
@@ -263,7 +263,7 @@ def _fill(
                 from .dask_engine import fill_by
 
                 devices_used = fill_by(client, store, ensemble, blocks, bar)
-        _warn_of_failures(store.finish(_circumstances(store.started, devices_used)))
+        _warn_of_failures(store.finish(_run_attributes(store.started, devices_used)))
     except KeyboardInterrupt:
         raise SweepInterrupted(store.dataset(), store.path) from None
     finally:
@@ -294,7 +294,7 @@ def _kinds(devices: Sequence[Any]) -> dict[str, str]:
     return {str(device): device.device_kind for device in devices}
 
 
-def _circumstances(started: float, devices: Mapping[str, str]) -> dict[str, Any]:
+def _run_attributes(started: float, devices: Mapping[str, str]) -> dict[str, Any]:
     """The duration of a sweep and the kind of each device."""
     return {
         "wall_time_s": round(time.perf_counter() - started, 3),

@@ -73,26 +73,26 @@ def test_what_a_failed_run_says_is_no_state():
 
 
 def test_bars_of_random_starts_hold_the_share_as_often_as_they_say():
-    rng, held, share = np.random.default_rng(0), 0, 0.3
+    rng, covered, share = np.random.default_rng(0), 0, 0.3
     for _ in range(400):
         found = tally(batch((rng.random((16, 32)) < share).astype(int)))
         bars = found.bars(even=False)
         k = [code.tolist() for code in found.codes].index([1])
-        held += bars.low[0, k] <= share <= bars.high[0, k]
-    assert 0.92 <= held / 400 <= 0.98
+        covered += bars.low[0, k] <= share <= bars.high[0, k]
+    assert 0.92 <= covered / 400 <= 0.98
 
 
 def test_bars_of_sequences_hold_the_share_as_often_as_they_say():
     # In each replicate a grid, shifted by chance: an error far below that of random points.
-    rng, held, lengths, share = np.random.default_rng(0), 0, [], 0.3
+    rng, covered, lengths, share = np.random.default_rng(0), 0, [], 0.3
     for _ in range(400):
-        places = (np.arange(32) + rng.random((16, 1))) / 32 + rng.normal(0, 0.02, (16, 1))
-        found = tally(batch(((places % 1.0) < share).astype(int)))
+        phases = (np.arange(32) + rng.random((16, 1))) / 32 + rng.normal(0, 0.02, (16, 1))
+        found = tally(batch(((phases % 1.0) < share).astype(int)))
         bars = found.bars(even=True)
         k = [code.tolist() for code in found.codes].index([1])
-        held += bars.low[0, k] <= share <= bars.high[0, k]
+        covered += bars.low[0, k] <= share <= bars.high[0, k]
         lengths.append((bars.high - bars.low)[0, k] / 2)
-    assert 0.92 <= held / 400 <= 0.99
+    assert 0.92 <= covered / 400 <= 0.99
     assert np.median(lengths) < 0.5 * 1.96 * (share * (1 - share) / 512) ** 0.5
 
 

@@ -91,12 +91,12 @@ def test_a_tolerance_counts_only_if_the_next_tighter_one_meets_the_error_bar_too
     errors = {1e-3: 1e-9, 1e-4: 1e-2, 1e-5: np.nan, 1e-6: 1e-6, 1e-7: 1e-7, 1e-8: 1e-8}
 
     def solve(rtol):
-        asked.append(rtol)
+        requested.append(rtol)
         return np.full((2, 3), errors[rtol])
 
-    asked = []
+    requested = []
     label, winner = timing.cheapest({"lucky": solve}, np.zeros((2, 3)), 1e-5, list(errors))
-    assert min(asked) == 1e-7  # two in succession are enough
+    assert min(requested) == 1e-7  # two in succession are enough
     assert label.startswith(("lucky, rtol 1e-06", "lucky, rtol 1e-07"))
     assert winner().max() in (1e-6, 1e-7)
     with pytest.raises(RuntimeError, match="none of lucky met the error bar 1e-12"):

@@ -89,8 +89,8 @@ def claims(numbers, margin=0.01):
         lanes = np.flatnonzero((numbers[:, 3] < 1e-5) == dry)
         if lanes.size:
             goes_on[lanes] = vibrates(numbers[lanes], speeds[lanes], dry)
-    held = goes_on[:, 0] & ~goes_on[:, 1] & ~goes_on[:, 2]
-    wrong = np.where(found, ~held, none & goes_on.any(axis=1))
+    is_fold = goes_on[:, 0] & ~goes_on[:, 1] & ~goes_on[:, 2]
+    wrong = np.where(found, ~is_fold, none & goes_on.any(axis=1))
     missed = ~found & ~none & goes_on[:, 1:].any(axis=1)
     return folds, base, hopf, np.flatnonzero(wrong), np.flatnonzero(missed)
 
@@ -329,9 +329,9 @@ def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
     """Sets whose V(s) is flat, with its maximum far from where the loose search ends."""
     fold = jax.tree.map(lambda part: part[0], wild_folds(numbers[None])[0])
     start = first_guess(wild_chain(numbers), 0)
-    shooting, place = start.shooting, start.shooting.place
+    shooting, index = start.shooting, start.shooting.z_index
     slopes = jax.jit(functools.partial(value_and_jacobian, shooting))
-    closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[place].set(fold.belt_speed)
+    closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[index].set(fold.belt_speed)
     for way in (-1.0, 1.0):
         q, r = closed, jnp.full(2, jnp.inf)
         for k in range(1, 9):
@@ -340,7 +340,7 @@ def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
                 r, jacobian = slopes(jnp.append(q, jnp.arcsinh(s)))
                 q = q - jnp.linalg.solve(jacobian[:, :-1], r)
             assert jnp.max(jnp.abs(r)) < 1e-9
-            assert q[place] < fold.belt_speed * (1.0 + 3e-9)
+            assert q[index] < fold.belt_speed * (1.0 + 3e-9)
 
 
 @pytest.mark.parametrize("speed", [-1.5, 0.3])

@@ -121,9 +121,9 @@ def test_coulomb_friction_has_none():
 def test_what_is_listed_explains_every_change_in_the_number_of_growing_modes(chain):
     points = hopf_points(chain, (0.0, 5.0))
     speeds = np.geomspace(1e-3, 4.9, 500)
-    turns = np.where(np.array(points.direction) == "growing speed", 1, -1)
+    directions = np.where(np.array(points.direction) == "growing speed", 1, -1)
     below = np.asarray(points.belt_speed)[None, :] < speeds[:, None]
-    expected = (below * (turns * np.asarray(points.multiplicity))[None, :]).sum(axis=1)
+    expected = (below * (directions * np.asarray(points.multiplicity))[None, :]).sum(axis=1)
     np.testing.assert_array_equal(growing(chain, speeds), expected)
     assert len(points.kind) >= 2
     assert float(points.belt_speed.max()) == pytest.approx(

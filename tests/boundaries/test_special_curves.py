@@ -96,10 +96,10 @@ class Driven(AbstractCells):
 
     def rate(self, t, left, own, right):
         x, y = own
-        grows, turns = 1.0 - x**2 - y**2, 3.0 + self.delta
+        grows, frequency = 1.0 - x**2 - y**2, 3.0 + self.delta
         return (
-            grows * x - turns * y + self.force * jnp.cos(3.0 * t),
-            grows * y + turns * x + self.force * jnp.sin(3.0 * t),
+            grows * x - frequency * y + self.force * jnp.cos(3.0 * t),
+            grows * y + frequency * x + self.force * jnp.sin(3.0 * t),
         )
 
 
@@ -359,8 +359,8 @@ def test_a_curve_ends_with_the_name_of_the_number_that_vanishes(second, first_en
     assert not curve.special  # what is seen at a belt speed of 1e-8 is rounding
 
 
-def settled(cells, period, turns, start=(1.0, 0.0)):
-    run = simulate(cells, tuple(jnp.array([s]) for s in start), turns * period)
+def settled(cells, period, forcing_periods, start=(1.0, 0.0)):
+    run = simulate(cells, tuple(jnp.array([s]) for s in start), forcing_periods * period)
     return run.state
 
 
@@ -397,17 +397,17 @@ def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
     cells = MechanicalCells(
         1.0, damping=0.1, friction=law, belt_speed=0.2, force=0.2, frequency=2.5
     )
-    turns, step = 3, 2 * np.pi / 2.5
-    start = settled(cells, step, 60 * turns), turns * step
+    forcing_periods, step = 3, 2 * np.pi / 2.5
+    start = settled(cells, step, 60 * forcing_periods), forcing_periods * step
     point = find_special_cycle(start, cells, kind="release", mass=0, parameter="force")
-    times = jnp.linspace(0.0, turns * step, 4001)
+    times = jnp.linspace(0.0, forcing_periods * step, 4001)
 
     def sticks(force):  # how often, in a period
         there = cells.with_(force=force)
-        begin = settled(there, step, 60 * turns, (float(point.state[0][0]), 0.2))
-        run = simulate(there, begin, turns * step, observe=Trajectory(times))
-        held = np.abs(np.asarray(run.observed[1])[:-1, 0] - 0.2) < 1e-12
-        return np.sum(held & ~np.roll(held, 1))
+        begin = settled(there, step, 60 * forcing_periods, (float(point.state[0][0]), 0.2))
+        run = simulate(there, begin, forcing_periods * step, observe=Trajectory(times))
+        sticking = np.abs(np.asarray(run.observed[1])[:-1, 0] - 0.2) < 1e-12
+        return np.sum(sticking & ~np.roll(sticking, 1))
 
     assert [sticks(point.value + d) for d in (-1e-4, 1e-4)] == [1, 2]
     # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.

@@ -243,31 +243,31 @@ def double_well(force):
 BRIEF = {"seeds": 1, "noise": (1e-3,), "longest": 4000.0, "exponent_time": 3000.0}
 
 
-def stroboscope(force, turns, state):
-    """The state of the Duffing oscillator that returns after so many periods, by SciPy."""
+def stroboscope(force, forcing_periods, state):
+    """The state of the Duffing oscillator after periods of its force, by SciPy."""
 
     def rate(t, y):
         return y[1], force * np.cos(1.2 * t) - 0.3 * y[1] + y[0] - y[0] ** 3
 
-    span = 0.0, turns * 2 * np.pi / 1.2
+    span = 0.0, forcing_periods * 2 * np.pi / 1.2
     return solve_ivp(rate, span, state, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
 
 
 @pytest.mark.slow
 def test_a_forced_motion_is_periodic_with_a_multiple_of_the_period_of_its_force():
-    for force, turns in ((0.2, 1), (0.28, 2), (0.29, 4)):
+    for force, forcing_periods in ((0.2, 1), (0.28, 2), (0.29, 4)):
         found = verdict(double_well(force), alone(1, 0), **BRIEF)
         assert found.verdict == "periodic", found.reason
         lead = found.lead
-        np.testing.assert_allclose(lead.period, turns * 2 * np.pi / 1.2, rtol=1e-12)
+        np.testing.assert_allclose(lead.period, forcing_periods * 2 * np.pi / 1.2, rtol=1e-12)
         # No exponent of the flow: their sum is that of the damping.
         assert lead.exponents.max() < -0.01
         np.testing.assert_allclose(lead.exponents.sum(), -0.3, atol=1e-6)
         assert lead.relaxation_time == -1 / lead.exponents[0]
         state = np.ravel(lead.state)
-        np.testing.assert_allclose(stroboscope(force, turns, state), state, atol=1e-4)
-        if turns > 1:
-            assert np.abs(stroboscope(force, turns // 2, state) - state).max() > 1e-2
+        np.testing.assert_allclose(stroboscope(force, forcing_periods, state), state, atol=1e-4)
+        if forcing_periods > 1:
+            assert np.abs(stroboscope(force, forcing_periods // 2, state) - state).max() > 1e-2
 
 
 def greatest_exponent(force, time):

@@ -60,7 +60,7 @@ class Events:
             def lands(t, y, mode=mode):
                 return mode * (y[self.d] - self.speed)
 
-            def turns(t, y):
+            def velocity(t, y):
                 return y[self.d]
 
             def releases_at(t, y):
@@ -75,7 +75,7 @@ class Events:
                 first = solve_ivp(rate, (t, begin), y, "DOP853", rtol=1e-13, atol=1e-14)
                 y = first.y[:, -1]
             out = solve_ivp(
-                rate, (begin, t1), y, "DOP853", events=[event, turns], rtol=1e-13, atol=1e-14,
+                rate, (begin, t1), y, "DOP853", events=[event, velocity], rtol=1e-13, atol=1e-14,
                 max_step=0.1,
             )  # fmt: skip
             path += [out.y[0, [0, -1]], out.y_events[1][:, 0] if len(out.y_events[1]) else []]

@@ -42,8 +42,8 @@ def test_a_symmetric_orbit_has_fewer_unknowns():
     gaps = whole.residual(whole.pack(state, period, jnp.asarray(1.4)), jnp.asarray(1.4))
     reduced = half.residual(u, jnp.asarray(1.4))
     np.testing.assert_allclose(reduced, gaps[jnp.asarray([0, 1, 3, 4])], atol=1e-9)
-    assert half.place == 2
-    assert whole.place == 3
+    assert half.z_index == 2
+    assert whole.z_index == 3
 
 
 @pytest.mark.long

@@ -31,7 +31,7 @@ WORKERS, UNITS = 2, 12
 REFUSED, PATIENCE = 3, 240.0
 
 
-class Place:
+class StoreFolder:
     """A folder with a store, and the processes that fill it."""
 
     def __init__(self, folder, programs):
@@ -100,19 +100,19 @@ def programs(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def undisturbed(tmp_path_factory, programs):
-    place = Place(tmp_path_factory.mktemp("undisturbed"), programs)
-    assert place.end(place.sweep()) == ("", 0)
-    assert place.count("written") == UNITS
-    data = xr.open_zarr(place.path).load()
+    store = StoreFolder(tmp_path_factory.mktemp("undisturbed"), programs)
+    assert store.end(store.sweep()) == ("", 0)
+    assert store.count("written") == UNITS
+    data = xr.open_zarr(store.path).load()
     assert (data.result == NAMES.index("successful")).all()
     return data
 
 
 @pytest.fixture
-def place(tmp_path, programs, undisturbed):
-    place = Place(tmp_path, programs)
-    yield place
-    place.close()
+def store(tmp_path, programs, undisturbed):
+    store = StoreFolder(tmp_path, programs)
+    yield store
+    store.close()
 
 
 def assert_whole(path, undisturbed):
@@ -124,28 +124,28 @@ def assert_whole(path, undisturbed):
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("JAXCHAIN_FAULTS_SEEDS", "1"))))
-def test_a_process_that_is_killed_loses_the_units_under_way_at_most(place, undisturbed, seed):
-    chance, doomed = random.Random(seed), place.sweep()
-    place.wait("starts", 1, doomed)
+def test_a_process_that_is_killed_loses_the_units_under_way_at_most(store, undisturbed, seed):
+    chance, doomed = random.Random(seed), store.sweep()
+    store.wait("starts", 1, doomed)
     if seed % 5:  # else while it lays the store out
-        place.wait("written", chance.randint(1, UNITS - 3), doomed)
+        store.wait("written", chance.randint(1, UNITS - 3), doomed)
     time.sleep(chance.uniform(0.0, 0.3))
     doomed.kill()
-    assert place.end(doomed)[1] == -signal.SIGKILL
-    before = place.count("written")
-    assert place.end(place.sweep()) == ("", 0)
-    assert_whole(place.path, undisturbed)
-    assert place.count("written") <= UNITS + 1  # one that was written, and not noted
+    assert store.end(doomed)[1] == -signal.SIGKILL
+    before = store.count("written")
+    assert store.end(store.sweep()) == ("", 0)
+    assert_whole(store.path, undisturbed)
+    assert store.count("written") <= UNITS + 1  # one that was written, and not noted
     assert before < UNITS
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("JAXCHAIN_FAULTS_SEEDS", "1"))))
 @pytest.mark.parametrize("killed", ["worker", "client", "scheduler"])
-def test_with_dask_one_unit_for_each_worker_is_lost_at_most(place, undisturbed, killed, seed):
+def test_with_dask_one_unit_for_each_worker_is_lost_at_most(store, undisturbed, killed, seed):
     chance = random.Random(f"{killed} {seed}")
-    cluster, file = place.cluster()
-    client = place.sweep(file)
-    place.wait("computed", chance.randint(1, UNITS - 5), client)
+    cluster, file = store.cluster()
+    client = store.sweep(file)
+    store.wait("computed", chance.randint(1, UNITS - 5), client)
     time.sleep(chance.uniform(0.0, 0.3))
     if killed == "worker":
         below = [psutil.Process(nanny.pid).children(recursive=True) for nanny in cluster[1:]]
@@ -155,17 +155,17 @@ def test_with_dask_one_unit_for_each_worker_is_lost_at_most(place, undisturbed, 
         chance.choice(workers).kill()
     else:
         {"client": client, "scheduler": cluster[0]}[killed].kill()
-    message, status = place.end(client)
+    message, status = store.end(client)
     expected = {"worker": 0, "client": -signal.SIGKILL, "scheduler": REFUSED}[killed]
     assert status == expected, message
     if killed == "scheduler":
         assert "The scheduler of Dask is gone" in message
-        _, file = place.cluster()
+        _, file = store.cluster()
     if killed != "worker":
-        assert place.end(place.sweep(file))[1] == 0
-    assert_whole(place.path, undisturbed)
+        assert store.end(store.sweep(file))[1] == 0
+    assert_whole(store.path, undisturbed)
     # What a worker had computed and the client had not written, or what it computed when it died.
-    assert place.count("computed") <= UNITS + WORKERS
+    assert store.count("computed") <= UNITS + WORKERS
 
 
 def private(script, folder):
@@ -176,8 +176,8 @@ def private(script, folder):
     return ["unshare", "-rm", "sh", "-c", script]
 
 
-def test_a_full_disk_loses_nothing_that_is_done(place, undisturbed):
-    disk, kept = place.folder / "disk", place.folder / "kept"
+def test_a_full_disk_loses_nothing_that_is_done(store, undisturbed):
+    disk, kept = store.folder / "disk", store.folder / "kept"
     disk.mkdir()
     child = shlex.join([sys.executable, str(CHILD), str(disk / "s.zarr"), "none"])
     script = f"""
@@ -189,7 +189,7 @@ def test_a_full_disk_loses_nothing_that_is_done(place, undisturbed):
         cp -r {disk} {kept}2
         test $first = {REFUSED} -a $second = 0
     """
-    message, status = place.end(place.start(*private(script, disk), stderr=subprocess.PIPE))
+    message, status = store.end(store.start(*private(script, disk), stderr=subprocess.PIPE))
     assert status == 0, message
     assert (
         "s.zarr cannot be used: No space left on device. Finished units are kept; solve the "
@@ -199,17 +199,17 @@ def test_a_full_disk_loses_nothing_that_is_done(place, undisturbed):
     done = part.result.values != NAMES.index("pending")
     assert 0 < done.sum() < done.size
     assert np.array_equal(part.amplitude.values[done], undisturbed.amplitude.values[done])
-    assert_whole(place.folder / "kept2" / "s.zarr", undisturbed)
-    assert place.count("written") <= UNITS
+    assert_whole(store.folder / "kept2" / "s.zarr", undisturbed)
+    assert store.count("written") <= UNITS
 
 
-def test_a_store_that_cannot_be_written_is_refused_and_a_whole_one_is_read(place, undisturbed):
-    disk = place.folder / "disk"
+def test_a_store_that_cannot_be_written_is_refused_and_a_whole_one_is_read(store, undisturbed):
+    disk = store.folder / "disk"
     disk.mkdir()
-    assert place.end(place.sweep(path=disk / "whole.zarr")) == ("", 0)
+    assert store.end(store.sweep(path=disk / "whole.zarr")) == ("", 0)
     for name, expected in (("absent.zarr", REFUSED), ("whole.zarr", 0)):
         child = shlex.join([sys.executable, str(CHILD), str(disk / name), "none"])
         script = f"mount --bind {disk} {disk}; mount -o remount,ro,bind {disk}; {child}"
-        message, status = place.end(place.start(*private(script, disk), stderr=subprocess.PIPE))
+        message, status = store.end(store.start(*private(script, disk), stderr=subprocess.PIPE))
         assert status == expected, message
         assert ("cannot be used: Read-only file system." in message) == (expected == REFUSED)

@@ -250,7 +250,7 @@ def test_what_the_data_do_not_tell_apart_has_no_profile():
 @pytest.mark.parametrize("from_start", [False, True], ids=["cycle", "start"])
 def test_intervals_of_signals_hold_the_truth_as_often_as_they_promise(from_start):
     """Thirty records with four unknown numbers: of 30, 27 or more with a probability of 94 %."""
-    rng, held = np.random.default_rng(3), []
+    rng, covered = np.random.default_rng(3), []
     for _ in range(30):
         chain = ONE.with_(belt_speed=rng.uniform(1.2, 1.7))
         true = TRUE * (1 + 0.05 * jnp.asarray(rng.uniform(-1.0, 1.0, 4)))
@@ -266,9 +266,9 @@ def test_intervals_of_signals_hold_the_truth_as_often_as_they_promise(from_start
             chain, change, true * (1 + 0.1 * rng.standard_normal(4)), signal, starts=4
         )
         low, high = found.interval()
-        held.append((low < true) & (true < high))
-    print(np.sum(held, axis=0))
-    assert np.all(np.sum(held, axis=0) >= 27)
+        covered.append((low < true) & (true < high))
+    print(np.sum(covered, axis=0))
+    assert np.all(np.sum(covered, axis=0) >= 27)
 
 
 def sliding(values, noise=0.01):

@@ -22,7 +22,7 @@ def test_linear_spreading_against_bessel_functions():
     eta, growth = 0.01, 0.012
     u = float(spreading_speed(eta, growth))
     times = np.array([4000.0, 8000.0])
-    places = []
+    positions = []
     for t in times:
         n = np.arange(int(eta * t), int(2 * u * t))
         # Logarithms, because the growth alone overflows; jv of a large order underflows late.
@@ -30,9 +30,9 @@ def test_linear_spreading_against_bessel_functions():
         known = np.abs(jv(n, eta * t)) > 1e-290
         last = np.flatnonzero(known & (size > 0))[-1]
         share = size[last] / (size[last] - size[last + 1])
-        places.append(n[last] + share)
+        positions.append(n[last] + share)
     # t^(-1/2) of the front's tail: u t - ln t / (2 arcosh(u / eta)).
-    slope = (places[1] - places[0] + 0.5 * np.log(2.0) / np.arccosh(u / eta)) / 4000.0
+    slope = (positions[1] - positions[0] + 0.5 * np.log(2.0) / np.arccosh(u / eta)) / 4000.0
     np.testing.assert_allclose(slope, u, rtol=1e-3)
     assert np.isnan(spreading_speed(eta, -1e-3))
 

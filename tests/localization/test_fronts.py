@@ -61,24 +61,24 @@ def test_mirrored_amplitudes_exchange_the_fronts():
 def synthetic(rng, speed, kind, count=200):
     """A profile that travels at a known mean speed, as amplitudes of 120 masses over time."""
     times = 10.0 * np.arange(count)
-    place = 10.0 + speed * times
+    position = 10.0 + speed * times
     if kind == "smooth":
-        place = place + rng.normal(0.0, 0.2, count)
+        position = position + rng.normal(0.0, 0.2, count)
     elif kind == "hops":
-        place = 10.0 + np.floor(speed * times + rng.uniform())
+        position = 10.0 + np.floor(speed * times + rng.uniform())
     elif kind == "walk":
-        place = place + np.cumsum(rng.normal(0.0, 0.05, count))
+        position = position + np.cumsum(rng.normal(0.0, 0.05, count))
     else:  # hops at random
-        place = 10.0 + rng.poisson(speed * 10.0, count).cumsum()
+        position = 10.0 + rng.poisson(speed * 10.0, count).cumsum()
     distance = np.abs(np.arange(120) - 60)
-    return times, 1.5 / (1.0 + np.exp(4.0 * (distance - place[:, None])))
+    return times, 1.5 / (1.0 + np.exp(4.0 * (distance - position[:, None])))
 
 
 @jax.jit
 @jax.vmap
 def speed_of(times, amplitude):
-    place, _ = front_positions(amplitude, 0.75)
-    return mean_speed(times, place, place > 0.0)
+    position, _ = front_positions(amplitude, 0.75)
+    return mean_speed(times, position, position > 0.0)
 
 
 @pytest.mark.parametrize("kind", ["smooth", "hops", "walk", "random hops"])
@@ -96,11 +96,11 @@ def test_the_interval_holds_a_known_speed_in_95_of_100_cases(kind):
 
 def test_only_valid_positions_count_and_there_must_be_enough():
     times = jnp.arange(100.0)
-    place = jnp.where(times < 20, 5.0, jnp.where(times < 80, 0.1 * times, -1.0))
-    speed, error = mean_speed(times, place, (times >= 20) & (times < 80))
+    position = jnp.where(times < 20, 5.0, jnp.where(times < 80, 0.1 * times, -1.0))
+    speed, error = mean_speed(times, position, (times >= 20) & (times < 80))
     np.testing.assert_allclose([speed, error], [0.1, 0.0], atol=1e-14)
-    assert np.isnan(mean_speed(times, place, (times >= 20) & (times < 28))).all()
-    assert np.isfinite(mean_speed(times, place, (times >= 20) & (times < 29))).all()
+    assert np.isnan(mean_speed(times, position, (times >= 20) & (times < 28))).all()
+    assert np.isfinite(mean_speed(times, position, (times >= 20) & (times < 29))).all()
 
 
 def test_a_front_that_stands_has_the_interval_of_three_over_time():
@@ -110,18 +110,18 @@ def test_a_front_that_stands_has_the_interval_of_three_over_time():
     np.testing.assert_allclose(error, -np.log(0.05) / 100.0)
 
 
-def runs_of(places, codes=None):
-    """A sweep that observed fronts at these places, window after window, on a ring of 60."""
-    fronts = {f"front_{side}": (("run", "window"), places) for side in ("right", "left")}
-    result = "run", np.zeros(len(places), int) if codes is None else codes
+def runs_of(positions, codes=None):
+    """A sweep that observed fronts at these positions, window after window, on a ring of 60."""
+    fronts = {f"front_{side}": (("run", "window"), positions) for side in ("right", "left")}
+    result = "run", np.zeros(len(positions), int) if codes is None else codes
     times = {"t0": 0.0, "t1": 500.0}
     return xr.Dataset({**fronts, "result": result}, {"oscillator": np.arange(1, 61)}, times)
 
 
 def test_verdicts_of_a_sweep():
     rates = np.array([0.02, -0.02, 0.0, 0.02])
-    places = 15.0 + rates[:, None] * (5.0 + 10.0 * np.arange(50))
-    found = front_speeds(runs_of(places, [0, 0, 0, int(code(Result.nonfinite))]), 100.0)
+    positions = 15.0 + rates[:, None] * (5.0 + 10.0 * np.arange(50))
+    found = front_speeds(runs_of(positions, [0, 0, 0, int(code(Result.nonfinite))]), 100.0)
     assert found.verdict.values.tolist() == [1, -1, 0, 2]
     np.testing.assert_allclose(found.speed[:3], rates[:3], atol=1e-14)
     np.testing.assert_allclose(found.moved[:3], 39 * 10 * rates[:3], atol=1e-12)
@@ -130,16 +130,16 @@ def test_verdicts_of_a_sweep():
 
 
 def test_what_is_left_out_of_a_sweep_may_differ_from_run_to_run():
-    place = np.where(np.arange(50) < 20, 15.0, 11.0 + 0.2 * np.arange(50))
+    position = np.where(np.arange(50) < 20, 15.0, 11.0 + 0.2 * np.arange(50))
     waits = xr.DataArray([0.0, 200.0], dims="run")
-    found = front_speeds(runs_of([place, place]), waits)
+    found = front_speeds(runs_of([position, position]), waits)
     assert abs(float(found.speed[0]) - 0.02) > 1e-3
     np.testing.assert_allclose(found.speed[1], 0.02, atol=1e-14)
 
 
 def test_one_jump_of_a_mass_or_more_without_a_trend_is_unknown():
-    place = np.where(np.arange(50) < 25, 10.0, 12.0)
-    assert front_speeds(runs_of([place]), 0.0).verdict.values.tolist() == [2]
+    position = np.where(np.arange(50) < 25, 10.0, 12.0)
+    assert front_speeds(runs_of([position]), 0.0).verdict.values.tolist() == [2]
 
 
 def test_a_sweep_without_fronts_is_refused():

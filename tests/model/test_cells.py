@@ -297,8 +297,8 @@ def test_a_cycle_without_a_velocity_is_found_with_its_exponents():
     np.testing.assert_allclose(back, np.stack(cycle.state), atol=1e-8)
     assert cycle.stable
     loss = simulate(cells, cycle.state, cycle.period, observe=Divergence(), rtol=1e-9).observed
-    turns = 10.0 * cycle.period
-    exponents = lyapunov_spectrum(cells, cycle.state, turns, blocks=5, rtol=1e-8).exponents
+    span = 10.0 * cycle.period
+    exponents = lyapunov_spectrum(cells, cycle.state, span, blocks=5, rtol=1e-8).exponents
     assert float(exponents[0]) == pytest.approx(0.0, abs=1e-2)
     assert float(exponents[1]) == pytest.approx(float(loss / cycle.period), rel=1e-2)
 
@@ -376,10 +376,10 @@ def test_a_period_that_is_not_that_of_the_force_is_refused():
 def test_a_run_that_is_a_guess_goes_on_to_a_multiple_of_the_period_of_the_force():
     cells, start = driven(), state(2, 2)
     period = float(cells.forcing_period())
-    for turns in (0.1, 2.2, 3.0):
-        run = simulate(cells, start, turns * period, rtol=1e-8)
+    for forcing_periods in (0.1, 2.2, 3.0):
+        run = simulate(cells, start, forcing_periods * period, rtol=1e-8)
         _, (x, v), _ = resolve_guess(cells, run, period, 0, "stable", True)
-        begin = simulate(cells, start, np.ceil(turns) * period, rtol=1e-8).state
+        begin = simulate(cells, start, np.ceil(forcing_periods) * period, rtol=1e-8).state
         np.testing.assert_allclose((x, v), begin, atol=1e-6)
     cycle = find_limit_cycle(cells, simulate(cells, start, 2.2 * period))
     assert (cycle.turns, cycle.stable) == (1, True)

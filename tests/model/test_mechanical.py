@@ -85,11 +85,11 @@ def by_events(cells: MechanicalCells, t1: float) -> np.ndarray:
     while t < t1:
         events = []
         for i in range(3):
-            place = 6 + 3 * u + i
+            index = 6 + 3 * u + i
             if modes[i] == 0:
                 event = lambda t, y, *_, i=i: load[i] - abs(reaction(t, y)[i])  # noqa: E731
             else:
-                event = lambda t, y, *_, p=place, m=modes[i]: m * (y[p] - speed)  # noqa: E731
+                event = lambda t, y, *_, p=index, m=modes[i]: m * (y[p] - speed)  # noqa: E731
             vars(event).update(terminal=True, direction=-1)
             events.append(event)
         out = solve_ivp(rate, (t, t1), y, "DOP853", args=(modes,), events=events, rtol=1e-12,

@@ -94,7 +94,7 @@ def pendulums(p, t, angle, lengths):
 
     Springs between bobs, without the force that they have where all pendulums hang.
     """
-    place = [
+    displacement = [
         length * np.array([np.sin(a), -np.cos(a)])
         for a, length in zip(angle, lengths, strict=True)
     ]
@@ -102,7 +102,7 @@ def pendulums(p, t, angle, lengths):
     gravity = 1 + p.amplitude * p.frequency**2 * np.cos(p.frequency * t)
     force = gravity * np.array([0.0, -1.0])
     for k in (0, 2):
-        force = force + p.coupling * ((place[k] - place[1]) - (hangs[k] - hangs[1]))
+        force = force + p.coupling * ((displacement[k] - displacement[1]) - (hangs[k] - hangs[1]))
     return force @ [np.cos(angle[1]), np.sin(angle[1])] / lengths[1]
 
 

@@ -111,8 +111,8 @@ def test_integrals_and_turning_points_of_a_step_of_known_motion():
         (jnp.full(1, 2.0), jnp.full(1, 9.0)),
         lambda theta, k: 3 * (2 * theta) ** 2 - 3 if k else (2 * theta) ** 3 - 6 * theta,
     )  # fmt: skip
-    turns, theta = step.turning_points()
-    assert turns.tolist() == [True]
+    has_extreme, theta = step.turning_points()
+    assert has_extreme.tolist() == [True]
     np.testing.assert_allclose(step.time(theta), [1.025], rtol=1e-14)
     for points in (3, 5):
         found = step.integral(lambda t, y: y[0] * y[1] + t**5, points)

@@ -155,8 +155,8 @@ def test_a_branch_of_anything_is_one_solid_line():
     assert line.get_linestyle() == "-"
 
 
-def turns(values):
-    """Indices at which a line of numbers turns round."""
+def extremes(values):
+    """Indices of the local extremes of `values`."""
     return (np.flatnonzero(np.diff(np.sign(np.diff(values)))) + 1).tolist()
 
 
@@ -165,8 +165,8 @@ def test_the_line_has_no_corners_and_no_folds_of_its_own():
     t = np.array([-1.0, -0.7, -0.5, -0.2, 0.0, 0.15, 0.4, 0.8, 1.0])
     x, y = smooth(t**2, t)
     np.testing.assert_array_equal((x[::PARTS], y[::PARTS]), (t**2, t))
-    assert turns(x) == [4 * PARTS]
-    assert turns(y) == []
+    assert extremes(x) == [4 * PARTS]
+    assert extremes(y) == []
     assert np.max(np.abs(x - y**2)) < 0.01  # of the chords 0.0225
 
     def corner(x, y):

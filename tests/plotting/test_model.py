@@ -57,8 +57,8 @@ def test_friction_is_that_of_eq_1_and_2_and_of_its_smoothing():
     w, force = curve(right, "dry")
     np.testing.assert_allclose(force, -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)), rtol=1e-14)
     # Where the law is set-valued a vertical line joins its two values.
-    held = [y for x, y in map(points, right.get_lines()) if x.tolist() == [0.0, 0.0]]
-    assert [-1.0, 1.0] in [y.tolist() for y in held]
+    vertical = [y for x, y in map(points, right.get_lines()) if x.tolist() == [0.0, 0.0]]
+    assert [-1.0, 1.0] in [y.tolist() for y in vertical]
     w, force = curve(right, r"$\varepsilon$ = 0.05")
     expected = -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)) * np.tanh(w / 0.05)
     np.testing.assert_allclose(force, expected, rtol=1e-12, atol=1e-15)

@@ -88,14 +88,14 @@ def test_a_chain_adds_its_belt_and_where_a_mass_sticks():
     chain = paper_chain(1, belt_speed=0.5, width=None)
     times = jnp.linspace(0.0, 15.0, 200)
     run = simulate(chain, (jnp.zeros(1), jnp.full(1, 0.5)), 15.0, observe=Trajectory(times))
-    held = sticking(chain, run.observed)[:, 0]
-    assert 0 < held.sum() < held.size
+    sticks = sticking(chain, run.observed)[:, 0]
+    assert 0 < sticks.sum() < sticks.size
     x, v = (np.asarray(part)[:, 0] for part in run.observed)
     axes = plot_phase_portrait(times, run, chain)
     assert legend(axes) == ["sticks", "belt speed"]
     orbit, band, _, belt = axes.get_lines()
     np.testing.assert_array_equal(orbit.get_xydata(), np.stack([x, v], 1))
-    np.testing.assert_array_equal(height(band), np.where(held, v, np.nan))
+    np.testing.assert_array_equal(height(band), np.where(sticks, v, np.nan))
     assert np.unique(np.asarray(belt.get_ydata())) == 0.5
     # Over time the belt is a velocity, and nothing that a displacement can reach.
     assert "belt speed" not in legend(plot_time_series(times, run, chain))

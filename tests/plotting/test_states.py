@@ -93,9 +93,9 @@ def test_circles_have_radii_in_proportion_to_amplitudes():
     axes: Any = figure({"states": data, "states_dry": data}).axes[0]
     quiet, alive, dry = axes.collections
     np.testing.assert_allclose(alive.get_widths()[0] / quiet.get_widths()[0], 16.0, rtol=1e-12)
-    places = alive.get_offsets()
-    assert places.tolist() == [[4, 0], [5, 0], [1, 1], [5, 1], [6, 1]]
-    assert dry.get_offsets().tolist() == places.tolist()
+    offsets = alive.get_offsets()
+    assert offsets.tolist() == [[4, 0], [5, 0], [1, 1], [5, 1], [6, 1]]
+    assert dry.get_offsets().tolist() == offsets.tolist()
     assert {"2.58 (2)", "failed"} <= {text.get_text() for text in axes.texts}
 
 

@@ -20,9 +20,9 @@ from jaxchain.scenes.files import SceneError, builtin_scenes
 from jaxchain.scenes.folder import StorageError, listing, unfinished
 from jaxchain.scenes.running import (
     as_run,
-    circumstances,
     cycles,
     hopf_speed,
+    origin_attributes,
     resume_scene,
     run_experiment,
     run_scene,
@@ -229,7 +229,7 @@ def test_a_scene_has_the_values_of_all_observers(tmp_path):
 def again(folder, loaded, **custom):
     """The scene as it is read from the file that a run leaves."""
     folder.mkdir()
-    files = scene_files(loaded.name, as_run(loaded.scene, **custom), circumstances())
+    files = scene_files(loaded.name, as_run(loaded.scene, **custom), origin_attributes())
     for name, content in files.items():
         (folder / name).write_bytes(content)
     return load_scene(str(folder))
@@ -254,9 +254,9 @@ def test_a_law_and_observers_of_ones_own_are_named_in_the_file(tmp_path):
     assert [other["name"] for other in others] == ["Mine"]
 
 
-def test_a_file_lists_the_circumstances_of_the_results_in_comments(monkeypatch):
+def test_a_file_lists_the_origin_of_the_results_in_comments(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "--some_flag=1")
-    about = circumstances("jaxchain run 'two\nlines' " + os.fsdecode(b"\xff"))
+    about = origin_attributes("jaxchain run 'two\nlines' " + os.fsdecode(b"\xff"))
     text = scene_files("x", {"title": "A"}, about)["x.toml"].decode()
     assert tomllib.loads(text) == {"title": "A"}
     comments = [line[2:] for line in text.splitlines() if line.startswith("# ") and " = " in line]

@@ -199,8 +199,8 @@ def test_a_short_touch_is_not_missed(excess, sticks):
     observe = StickTime(3.0)
     result = run(chain, initial, 3.0, 1e-12, observe=observe)
     # It sticks until its spring has as much force as friction, at x = mu.
-    held = np.sqrt(2 * excess) if sticks else 0.0
-    assert abs(float(result.observed[0]) - held) < 1e-3 * held + 1e-12
+    stick_time = np.sqrt(2 * excess) if sticks else 0.0
+    assert abs(float(result.observed[0]) - stick_time) < 1e-3 * stick_time + 1e-12
     free = 0.2 - amplitude * np.cos(3.0)
     moved = abs(float(result.state[0][0]) - free)
     assert moved > 0.1 * excess if sticks else moved < 1e-11

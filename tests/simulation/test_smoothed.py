@@ -19,19 +19,19 @@ def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
     plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan([], 20.0)
     begun = plan.begin(chain, equation_8(chain, 2), 0.0, 20.0)
 
-    def go_on(now, most):
+    def advance(now, most):
         return plan.advance(chain, now, jnp.asarray(20.0), max_steps=most)[0]
 
     @jax.jit
     def cut(now):
         def again(_, now):
-            now = go_on(now, 7)
+            now = advance(now, 7)
             result = Result.where(now.t < 20.0, Result.successful, now.result)
             return eqx.tree_at(lambda p: p.result, now, result)
 
         return jax.lax.fori_loop(0, 100, again, now)
 
-    whole, parts = jax.jit(lambda now: go_on(now, None))(begun), cut(begun)
+    whole, parts = jax.jit(lambda now: advance(now, None))(begun), cut(begun)
     assert float(parts.t) == float(whole.t) == 20.0
     assert int(whole.rejected) > 20
     assert (int(parts.steps), int(parts.rejected)) == (int(whole.steps), int(whole.rejected))

@@ -72,7 +72,7 @@ def test_every_public_name_stands_in_it(built):
     from sphinx.util.inventory import InventoryFile
 
     with (built / "objects.inv").open("rb") as file:
-        inventory = InventoryFile.load(file, "", lambda base, place: place)
+        inventory = InventoryFile.load(file, "", lambda base, url: url)
     known = {name for kind, names in inventory.items() if kind.startswith("py:") for name in names}
     for submodule in jaxchain.SUBMODULES:
         names = getattr(getattr(jaxchain, submodule), "__all__", ())

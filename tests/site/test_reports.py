@@ -25,15 +25,15 @@ time = {{ transient = 20.0, window = 20.0 }}
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory):
     """Address of the page of a run in which some lanes fail, and of one in which none does."""
-    place = tmp_path_factory.mktemp("reports")
-    (place / "mine.toml").write_text(SCENE, encoding="utf-8")
+    root = tmp_path_factory.mktemp("reports")
+    (root / "mine.toml").write_text(SCENE, encoding="utf-8")
     found = {}
     for name, change in (
         ("failed", ["--set", "experiment.ladder.numerics.max_steps=150"]),
         ("well", []),
     ):
-        main(["run", str(place / "mine.toml"), "--quiet", "--output", str(place / name), *change])
-        found[name] = place / name
+        main(["run", str(root / "mine.toml"), "--quiet", "--output", str(root / name), *change])
+        found[name] = root / name
     energy = stored(found["failed"] / "mine")["ladder"].energy
     assert 0 < int(np.isnan(energy).sum()) < energy.size
     return found

@@ -323,10 +323,10 @@ COUNTS = {"active_count": 2.0, "front_count": 2.5, "steps": 250.0, "rejected": 2
 def three():
     """A lane that ended well, one that failed, and one that was interrupted."""
     nan = np.nan
-    place = jnp.array([[2.0, 3.0], [nan, nan], [nan, nan]])
+    front = jnp.array([[2.0, 3.0], [nan, nan], [nan, nan]])
     chain, watch = paper_chain(4), [Amplitude(window=20.0), FrontTrack(2)]
     values = [
-        jnp.array([[1.5, 1.5, 0.1, 0.0], 4 * [nan], 4 * [nan]]), Fronts(place, place, place)
+        jnp.array([[1.5, 1.5, 0.1, 0.0], 4 * [nan], 4 * [nan]]), Fronts(front, front, front)
     ]  # fmt: skip
     observed = {}
     for observer, value in zip(watch, values, strict=True):

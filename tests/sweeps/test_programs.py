@@ -11,7 +11,7 @@ import pytest
 from jax.experimental import serialize_executable
 
 from jaxchain.sweeps import programs
-from jaxchain.sweeps.programs import Program, map_lanes, place, ready
+from jaxchain.sweeps.programs import Program, map_lanes, put_on_device, ready
 
 
 class Logistic(eqx.Module):
@@ -97,6 +97,6 @@ def test_a_program_runs_on_the_device_that_is_asked_for(number):
         return x + getattr(task, "rate", task)
 
     for device in devices:
-        found = ready(kicked, device, place(task, device), x)(x)
+        found = ready(kicked, device, put_on_device(task, device), x)(x)
         assert found.devices() == {device}
         np.testing.assert_array_equal(found, x + 3.9)

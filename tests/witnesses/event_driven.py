@@ -271,12 +271,12 @@ def vibrating_cycle(
         return None
     times = np.linspace(0.0, slip.time, 401)
     xs, vs = integrate(numbers, *start, slip.time, times=times, **tolerances)[-2:]
-    turns = []
+    extremes = []
     for j in np.flatnonzero(vs[:-1, 0] * vs[1:, 0] < 0).tolist():
 
         def state(s: float, j: int = j) -> Run:
             return integrate(numbers, xs[j], vs[j], s, **tolerances)
 
-        turns.append(state(_zero(lambda s: state(s).v[0], 0.0, float(times[1]))).x[0])
+        extremes.append(state(_zero(lambda s: state(s).v[0], 0.0, float(times[1]))).x[0])
     stick = (release - float(slip.x[0])) / v_d
-    return Cycle(float(np.ptp(turns)) / 2, float(slip.time + stick), float(stick))
+    return Cycle(float(np.ptp(extremes)) / 2, float(slip.time + stick), float(stick))
