@@ -5,6 +5,7 @@ alone says in words what to do with a dry chain.
 """
 
 import inspect
+import re
 
 import equinox as eqx
 import jax
@@ -267,7 +268,10 @@ def test_no_public_function_of_a_chain_is_forgotten():
     ]
     functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
     taking = {
-        f.__name__ for f in functions if {"chain", "model"} & {*inspect.signature(f).parameters}
+        f.__name__
+        for f in functions
+        for name, of in inspect.signature(f).parameters.items()
+        if name in ("chain", "model") and not re.search("PhaseModel|str", str(of.annotation))
     }
     assert taking <= cases
 
