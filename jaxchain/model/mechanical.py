@@ -137,8 +137,8 @@ class MechanicalCells(AbstractCells):
         = s(q_{n+1} - q_n) - s(q_n - q_{n-1})
         + g(q_n, q_n') + p F(u_n' - v_d) e_u + f cos(omega t),
 
-    where u = `sliding` is the index of the displacement that slides on the belt, and e_u its unit
-    vector.  A state is (q_1, ..., q_d, q_1', ..., q_d'), each of shape (n,).
+    where u is the displacement that slides on the belt, number `sliding` of each cell, and e_u its
+    unit vector.  A state is (q_1, ..., q_d, q_1', ..., q_d'), each of shape (n,).
 
     With dry friction `simulate` and `sweep` find every start and end of sticking (`EventDriven`):
 
