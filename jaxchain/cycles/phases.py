@@ -302,7 +302,7 @@ def slip_phases(
 
 
 def phases_of(
-    chain: Dry, state: State, period: Any, kind: str, mass: int
+    chain: Dry, state: State, period: Any, kind: str | None = None, mass: int = 0
 ) -> tuple[Phases, Float[Array, " m"]]:
     """(the equations, their unknowns) of a cycle with dry friction, from an event-driven run.
 
@@ -324,9 +324,11 @@ def phases_of(
         released = modes[k - 1, i] == STICK
         sign = modes[k, i] if released else np.sign(r[k, i])
         events.append(_Event(k, "release" if released else "landing", i, float(sign)))
-    special = _closest(kind, mass, events, modes, w, r, np.asarray(chain.static_limit()))
-    if kind != "stick onset":
-        events = sorted([*events, special])
+    special = None
+    if kind is not None:
+        special = _closest(kind, mass, events, modes, w, r, np.asarray(chain.static_limit()))
+        if kind != "stick onset":
+            events = sorted([*events, special])
     # The cycle begins after the event that the longest phase follows.
     ks = np.array([event.k for event in events])
     lengths = (np.roll(ks, -1) - ks - 1) % _SAMPLES + 1
@@ -346,10 +348,10 @@ def phases_of(
 
     onsets, alike = [], []
     for k, event in enumerate(events):
-        if event.event == "landing" and not is_alike(event, special):
+        if event.event == "landing" and not (special and is_alike(event, special)):
             sticks = modes[event.k, event.mass] == STICK
             onsets.append((k, event.mass, -1.0 if sticks else 1.0))
-    for i in range(w.shape[1]):
+    for i in range(w.shape[1] if special else 0):
         alike += [i] if is_alike(special._replace(mass=i), special) else []
     durations = lengths * (float(period) / _SAMPLES)
     u = np.concatenate([*(part[begin] for part in samples), durations])
@@ -359,7 +361,7 @@ def phases_of(
         field=chain,
         modes=tuple(sequence),
         events=tuple(event[1:] for event in events),
-        special=(events.index(special), kind, special.sign),
+        special=special and (events.index(special), kind, special.sign),
         apart=tuple(
             bool(length > 2)
             and (event.event, one.event, one.mass) != ("release", "landing", event.mass)
