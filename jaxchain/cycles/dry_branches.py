@@ -123,12 +123,19 @@ def _samples(u: Array, p: Any, orbit: Phases) -> Samples:
 
 
 class _Part(NamedTuple):
-    """A phase: the mode of each mass, its duration, the event at its end, whether it is new."""
+    """A phase: the mode of each mass, its duration, the events at its end, whether it is new.
+
+    By symmetry several masses may have the same event at the same time, all along a branch.
+    """
 
     mode: tuple[float, ...]
     duration: float
-    event: tuple[str, int, float]
+    events: tuple[tuple[str, int, float], ...]
     new: bool = False
+
+    @property
+    def masses(self) -> frozenset[int]:
+        return frozenset(i for _, i, _ in self.events)
 
 
 class Start(NamedTuple):
@@ -148,27 +155,47 @@ class Change(NamedTuple):
     orbit: Phases
 
 
+def parts_of(orbit: Phases, u: np.ndarray, least: float | None = None) -> list[_Part]:
+    """The phases of a sequence, with the events at one time together; or closer than `least`."""
+    k, parts = len(orbit.events), []
+    if least is not None:
+        orbit = replace(orbit, apart=tuple((u[-k:] > least).tolist()))
+    mode, duration, events = orbit.modes[0], 0.0, []
+    for j in range(k):
+        events.append(orbit.events[j])
+        duration += float(u[j - k])
+        if orbit.apart[(j + 1) % k]:
+            parts.append(_Part(mode, duration, tuple(events)))
+            mode, duration, events = orbit.modes[(j + 1) % k], 0.0, []
+    return parts
+
+
 def _made(
     orbit: Phases, parts: list[_Part], state: np.ndarray, t0: float
 ) -> tuple[Phases, np.ndarray, np.ndarray]:
     """(the equations, u, which durations are new) of a sequence that begins at this state."""
-    modes, durations, events, new = map(list, zip(*parts, strict=True))
-    onsets = []
-    for k, (event, i, _) in enumerate(events):
-        if event == "landing":
-            onsets.append((k, i, -1.0 if modes[(k + 1) % len(modes)][i] == STICK else 1.0))
+    modes, events, durations, apart, new, onsets = [], [], [], [], [], []
+    for j, part in enumerate(parts):
+        mode, after = list(part.mode), parts[(j + 1) % len(parts)].mode
+        for first, event in enumerate(part.events):
+            modes.append(tuple(mode))
+            mode[event[1]] = after[event[1]]
+            if event[0] == "landing":
+                onsets.append((len(events), event[1], -1.0 if after[event[1]] == STICK else 1.0))
+            events.append(event)
+            durations.append(0.0 if first else part.duration)
+            apart.append(not first)
+            new.append(part.new and not first)
     whole = replace(
-        orbit, modes=tuple(modes), events=tuple(events), apart=(True,) * len(events),
+        orbit, modes=tuple(modes), events=tuple(events), apart=tuple(apart),
         onsets=tuple(onsets), special=None, alike=(),
     )  # fmt: skip
     begin = [t0] if orbit.forcing_periods is not None else []
     return whole, np.concatenate([state, begin, durations]), np.asarray(new)
 
 
-def _with_mode(part: _Part, i: int, mode: float) -> tuple[float, ...]:
-    modes = list(part.mode)
-    modes[i] = mode
-    return tuple(modes)
+def _with_mode(mode: tuple[float, ...], changes: dict[int, float]) -> tuple[float, ...]:
+    return tuple(changes.get(i, now) for i, now in enumerate(mode))
 
 
 def _sequences(orbit: Phases, raw: SpecialPoint) -> Iterator[tuple[str, Any]]:
@@ -177,92 +204,98 @@ def _sequences(orbit: Phases, raw: SpecialPoint) -> Iterator[tuple[str, Any]]:
     at = jax.tree.map(np.asarray, _samples(jnp.asarray(u), raw.p, orbit))
     d = orbit.m * orbit.n
     start = u[:d], u[d] if orbit.forcing_periods is not None else 0.0
-    period = float(np.sum(u[-k:]))
-    parts = [
-        _Part(mode, float(t), event)
-        for mode, t, event in zip(orbit.modes, u[-k:], orbit.events, strict=True)
-    ]
-    gone = [] if orbit.slips else np.flatnonzero(u[-k:] < _GONE * period).tolist()
+    period, parts = float(np.sum(u[-k:])), parts_of(orbit, u)
+    first = np.flatnonzero(orbit.apart)  # the phase of each part, which lasts
+    of = Samples(at.near[first], at.force[first], at.ends[first], at.times[first])
+    last = np.append(first[1:], k) - 1  # the phase after which all of its events are over
+    of = of._replace(ends=at.ends[last], times=at.times[last])
+    gone = [] if orbit.slips else [j for j, a in enumerate(parts) if a.duration < _GONE * period]
     if gone:
-        yield from _without(orbit, parts, at, gone)
+        yield from _without(orbit, parts, of, gone)
     if raw.kind in ("grazing", "release"):
-        yield raw.kind, _with_touches(orbit, parts, at, raw.kind, start)
+        yield raw.kind, _with_touches(orbit, parts, of, raw.kind, start)
     elif raw.kind == "stick onset":
-        yield raw.kind, _with_onsets(orbit, parts, at, start)
-
-
-def _rotated(parts: list[_Part], at: Samples, keep: list[int]) -> tuple[list[_Part], Any, Any]:
-    """The sequence from the end of the phase in `keep` that the longest one follows."""
-    k = len(parts)
-    j = max(keep, key=lambda j: parts[(j + 1) % k].duration)
-    return parts[j + 1 :] + parts[: j + 1], at.ends[j], at.times[j]
+        yield raw.kind, _with_onsets(orbit, parts, of, start)
 
 
 def _without(
     orbit: Phases, parts: list[_Part], at: Samples, gone: list[int]
 ) -> Iterator[tuple[str, Any]]:
-    """Without the phases that are gone."""
+    """Without the phases that are gone, or with events in another order."""
     k, kind = len(parts), ""
-    remove, swap = set(), []
+    removed: set[tuple[int, int]] = set()  # (part, mass) of an event
+    swapped = []
     for j in gone:
-        before, after = parts[j - 1], parts[(j + 1) % k]
-        (first, i, _), (second, other, _) = before.event, parts[j].event
-        if i != other:
+        before, part, after = parts[j - 1], parts[j], parts[(j + 1) % k]
+        if before.masses != part.masses:
             kind = kind or "two events"
-            swap.append(j)
-        elif before.mode[i] == after.mode[i]:
-            kind = "release" if first == "release" else "grazing"
-            remove |= {(j - 1) % k, j}
-        else:  # from one side to the other
-            kind = "stick onset"
-            remove |= {j}
-    keep = [j for j in range(k) if j not in remove and j not in {(s - 1) % k for s in swap}]
-    if not set(range(k)) - remove:  # none is left: it slides all the time
+            swapped.append(j)
+            continue
+        for event, i, _ in before.events:
+            if before.mode[i] == after.mode[i]:
+                kind = "release" if event == "release" else "grazing"
+                removed |= {((j - 1) % k, i), (j, i)}
+            else:  # from one side to the other
+                kind = "stick onset"
+                removed |= {(j, i)}
+    left: list[tuple[int, _Part]] = []
+    for j, part in enumerate(parts):
+        events = tuple(event for event in part.events if (j, event[1]) not in removed)
+        left.append((j, part._replace(events=events)))
+    if not any(part.events for _, part in left):  # it slides all the time
         j = gone[0]
-        i, mode = parts[j].event[1], _with_mode(parts[j], *_slides(parts, j))
+        event, i, _ = parts[j - 1].events[0]
         period = sum(part.duration for part in parts)
-        one = [_Part(mode, period, ("peak", i, 0.0))]
+        one = [_Part(parts[j - 1].mode, period, (("peak", i, 0.0),))]
         yield kind, _made(orbit, one, at.ends[j - 1], at.times[j - 1])
         return
-    if not keep:
+    # It begins after events that stay where they are, before the longest phase.
+    stays = [
+        j for j, part in left
+        if part.events and j not in swapped and (j + 1) % k not in swapped
+        and len(part.events) == len(parts[j].events)
+    ]  # fmt: skip
+    if not stays:
         return
-    j = max(keep, key=lambda j: parts[(j + 1) % k].duration)
-    order = [(j + 1 + q) % k for q in range(k)]
-    left: list[_Part] = []
-    carried = 0.0
+    j = max(stays, key=lambda j: parts[(j + 1) % k].duration)
+    order, found, carried = [(j + 1 + q) % k for q in range(k)], [], 0.0
     for q in order:
-        part = parts[q]
-        if q in remove:
+        part = left[q][1]
+        if (q + 1) % k in swapped:
+            other = left[(q + 1) % k][1]
+            found.append(part._replace(duration=part.duration + carried, events=other.events))
+            found.append(_Part(part.mode, 0.0, part.events, True))
+        elif q in swapped:
+            continue
+        elif not part.events:
             carried += part.duration
-        elif (q + 1) % k in swap:  # the event of the next phase comes first
-            after = parts[(q + 2) % k]
-            nxt = parts[(q + 1) % k]
-            mode = _with_mode(part, nxt.event[1], after.mode[nxt.event[1]])
-            left.append(part._replace(duration=part.duration + carried, event=nxt.event))
-            left.append(_Part(mode, 0.0, part.event, True))
-            carried = 0.0
-        elif q in swap:
             continue
         else:
-            left.append(part._replace(duration=part.duration + carried))
-            carried = 0.0
-    # A mode that went with its events is that of the phase before it.
-    yield kind, _made(orbit, _consistent(left), at.ends[j], at.times[j])
+            found.append(part._replace(duration=part.duration + carried))
+        carried = 0.0
+    yield kind, _made(orbit, _consistent(found, parts, removed), at.ends[j], at.times[j])
 
 
-def _slides(parts: list[_Part], j: int) -> tuple[int, float]:
-    i = parts[j].event[1]
-    return i, next(part.mode[i] for part in parts if part.mode[i] != STICK)
-
-
-def _consistent(parts: list[_Part]) -> list[_Part]:
-    """The modes as the events leave them, from that of the first phase on."""
-    mode, found = list(parts[0].mode), []
-    for q, part in enumerate(parts):
-        after = parts[(q + 1) % len(parts)].mode
-        found.append(part._replace(mode=tuple(mode)))
-        mode[part.event[1]] = after[part.event[1]]
-    return found
+def _consistent(
+    found: list[_Part], parts: list[_Part], removed: set[tuple[int, int]]
+) -> list[_Part]:
+    """With the modes that the events leave behind, from the first phase on."""
+    after = {
+        (event, i, sign, part.mode[i]): parts[(j + 1) % len(parts)].mode[i]
+        for j, part in enumerate(parts)
+        for event, i, sign in part.events
+    }
+    # A crossing without the stick after it goes on to the other side.
+    for j, part in enumerate(parts):
+        for event, i, sign in part.events:
+            nxt = (j + 1) % len(parts)
+            if (nxt, i) in removed and (j, i) not in removed:
+                after[event, i, sign, part.mode[i]] = parts[(nxt + 1) % len(parts)].mode[i]
+    mode, made = found[0].mode, []
+    for part in found:
+        made.append(part._replace(mode=mode))
+        mode = _with_mode(mode, {i: after[e, i, s, mode[i]] for e, i, s in part.events})
+    return made
 
 
 def _with_touches(
@@ -271,63 +304,63 @@ def _with_touches(
     """With a short stick, or slip, of each mass that just touches."""
     new: list[_Part] = []
     for k, part in enumerate(parts):
-        cuts = []
+        cuts: list[tuple[float, int, float]] = []
         for i in range(orbit.n):
-            near, sticks = at.near[k, :, i], part.mode[i] == STICK
-            if sticks != (kind == "release"):
+            near = at.near[k, :, i]
+            if (part.mode[i] == STICK) != (kind == "release"):
                 continue
             inner = near[1:-1]
             tops = np.flatnonzero((inner >= near[:-2]) & (inner >= near[2:]) & (inner > -1e-3)) + 1
             for top in tops[np.argsort(-near[tops])][:1]:
                 a, b, c = near[top - 1 : top + 2]
                 shift = 0.0 if a - 2 * b + c == 0 else 0.5 * (a - c) / (a - 2 * b + c)
-                if b - 0.25 * (a - c) * shift < -_TOGETHER:
-                    continue
-                share = (top + shift) / (len(near) - 1)
-                cuts.append((share, i, float(np.sign(at.force[k, top, i]))))
-        own = orbit.slips and kind == "grazing" and k == 0
-        last = 0.0
-        for share, i, sign in sorted(cuts):
-            new += _pair(part, i, sign, (share - last) * part.duration, kind)
-            last = share
-        rest = (1.0 - last) * part.duration
+                if b - 0.25 * (a - c) * shift > -_TOGETHER:
+                    share = (top + shift) / (len(near) - 1)
+                    cuts.append((share, i, float(np.sign(at.force[k, top, i]))))
+        cuts.sort()
+        own = orbit.slips and kind == "grazing"
         if own:
-            i = part.event[1]
-            sign = float(np.sign(at.force[k, -1, i]))
-            new += _pair(part, i, sign, rest, kind)
-        else:
-            new.append(part._replace(duration=rest))
+            i = part.events[0][1]
+            cuts.append((1.0, i, float(np.sign(at.force[k, -1, i]))))
+        last, q = 0.0, 0
+        while q < len(cuts):
+            together = [cut for cut in cuts[q:] if cut[0] - cuts[q][0] < 1e-3]
+            new += _pair(part, together, (cuts[q][0] - last) * part.duration, kind)
+            last, q = cuts[q][0], q + len(together)
+        if not own:
+            new.append(part._replace(duration=(1.0 - last) * part.duration))
     return _made(orbit, new, *start)
 
 
-def _pair(part: _Part, i: int, sign: float, duration: float, kind: str) -> list[_Part]:
-    if kind == "grazing":
-        first, second, mode = ("landing", i, sign), ("release", i, sign), STICK
-    else:
-        first, second, mode = ("release", i, sign), ("landing", i, sign), sign
+def _pair(
+    part: _Part, cuts: list[tuple[float, int, float]], duration: float, kind: str
+) -> list[_Part]:
+    """A phase up to a touch, and what it becomes."""
+    stick = kind == "grazing"
+    first, second = ("landing", "release") if stick else ("release", "landing")
+    mode = _with_mode(part.mode, {i: STICK if stick else sign for _, i, sign in cuts})
     return [
-        _Part(part.mode, duration, first),
-        _Part(_with_mode(part, i, mode), 0.0, second, True),
+        _Part(part.mode, duration, tuple((first, i, sign) for _, i, sign in cuts)),
+        _Part(mode, 0.0, tuple((second, i, sign) for _, i, sign in cuts), True),
     ]
 
 
 def _with_onsets(orbit: Phases, parts: list[_Part], at: Samples, start: tuple[Any, Any]) -> Any:
     """With a short stick after a landing, or a short slip before it sticks."""
+    limit = np.broadcast_to(np.asarray(orbit.field.static_limit()), orbit.n)
     new: list[_Part] = []
     for k, part in enumerate(parts):
-        (event, i, _), after = part.event, parts[(k + 1) % len(parts)]
+        after, changes, events = parts[(k + 1) % len(parts)], {}, []
+        for event, i, _ in part.events:
+            force = at.force[k, -1, i]
+            if event == "landing" and abs(abs(force) / limit[i] - 1.0) < _TOGETHER:
+                sign = float(np.sign(force))
+                sticks = after.mode[i] == STICK
+                changes[i] = sign if sticks else STICK
+                events.append(("landing" if sticks else "release", i, sign))
         new.append(part)
-        if event != "landing" or abs(at.near[k, -1, i]) > 1.0:
-            continue
-        force = at.force[k, -1, i]
-        limit = np.broadcast_to(np.asarray(orbit.field.static_limit()), orbit.n)[i]
-        if abs(abs(force) / limit - 1.0) > _TOGETHER:
-            continue
-        sign = float(np.sign(force))
-        if after.mode[i] == STICK:
-            new.append(_Part(_with_mode(after, i, sign), 0.0, ("landing", i, sign), True))
-        else:
-            new.append(_Part(_with_mode(after, i, STICK), 0.0, ("release", i, sign), True))
+        if events:
+            new.append(_Part(_with_mode(after.mode, changes), 0.0, tuple(events), True))
     return _made(orbit, new, *start)
 
 

@@ -207,7 +207,16 @@ class Phases(eqx.Module):
         around = np.zeros((2, len(self.events), self.n), bool)
         for k, (event, i, _) in enumerate(self.events):
             masses = [i, *(self.alike if event in ("peak", "turn") else ())]
-            around[0, (k + 1) % len(self.events), masses] = around[1, k, masses] = True
+            # Those of events at one time have theirs at the same ends of the phases around.
+            before, after = k, k + 1
+            around[1, before, masses] = around[0, after % len(self.events), masses] = True
+            while not self.apart[before]:
+                before = (before - 1) % len(self.events)
+                around[:, before, masses] = True
+            while not self.apart[after % len(self.events)]:
+                around[:, after % len(self.events), masses] = True
+                after += 1
+                around[0, after % len(self.events), masses] = True
         start = jnp.concatenate([begin[None], *state])
         given = modes, durations, jnp.asarray(around[0]), jnp.asarray(around[1])
         z, (values, highest, errors) = lax.scan(phase, start, given)
@@ -331,7 +340,7 @@ def phases_of(
             events = sorted([*events, special])
     # The cycle begins after the event that the longest phase follows.
     ks = np.array([event.k for event in events])
-    lengths = (np.roll(ks, -1) - ks - 1) % _SAMPLES + 1
+    lengths = (np.roll(ks, -1) - ks) % _SAMPLES if len(ks) > 1 else np.array([_SAMPLES])
     first = int(np.argmax(lengths)) + 1
     events, lengths = events[first:] + events[:first], np.roll(lengths, 1 - first)
     begin = events[-1].k
