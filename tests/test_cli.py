@@ -553,7 +553,13 @@ def test_ctrl_c_that_compiled_code_turns_into_another_error_is_an_interruption(
         return whole(chain, *arguments, **options)
 
     monkeypatch.setattr(running, "sweep", stopped)
-    assert main(["run", "two.toml", "--no-plot", "--quiet"]) == 130
+    # A job in the background ignores the signal otherwise.
+    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        status = main(["run", "two.toml", "--no-plot", "--quiet"])
+    finally:
+        signal.signal(signal.SIGINT, usual)
+    assert status == 130
     first, last = capsys.readouterr().err.splitlines()
     assert first == "jaxchain: interrupted"
     assert last.endswith("`jaxchain resume results/two` goes on with it")

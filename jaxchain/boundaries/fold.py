@@ -526,7 +526,7 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
     speed, or 1e-8 if the slip cycle is very unstable.  The correction enters only the derivative
     in the width; other derivatives then have an error of about 1e-6.  It works under
     `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first derivatives: since
-    v_d is stationary along the branch, they are those of a cycle with fixed max w / eps.
+    v_d is stationary along the branch, a cycle with fixed max w / eps has the same.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 

@@ -45,7 +45,7 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     greatest speed at which an eigenvalue of the 2n x 2n Jacobian crosses.
 
     **How:** a scan over 1024 speeds up to 1e6 brackets the last change of sign of d.  For
-    parameters per mass it brackets that of the greatest real part at 64 speeds, between the last
+    parameters per mass the greatest real part takes the place of d, at 64 speeds between the last
     zero of trace D, where sliding is not stable, and the last zero of min d_n, above which it is
     stable. The scan is refined there and where a minimum is close to zero; then bisection and
     Newton's method follow, for parameters per mass on the singularity of K - omega^2 + i omega D.
@@ -57,7 +57,7 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     friction weakens too little, or sliding is unstable at high speed because damping is not
     positive.  It works under `jit` and `vmap` and has derivatives of every order in every
     parameter of the chain.  If several modes of a chain with parameters per mass cross together
-    (for equal numbers or a symmetric pattern), v_H has a corner, and the derivative is that of one
+    (for equal numbers or a symmetric pattern), v_H has a corner, and the derivative belongs to one
     of these modes, to first order only.
 
     **Raises:** `RuntimeError` without 64-bit floats; `ValueError` for a chain of 32 bits.

@@ -740,7 +740,7 @@ class SpecialCurve(Printed):
     def at(self, index: int, model: Any = None) -> SpecialCycle | HopfPoint:
         """Point `index`, solved again for the first parameter, with derivatives in the others.
 
-        `model`: the model with other parameters, by default those of the point.
+        `model`: the model with other parameters; by default the parameters stay.
 
         **Raises:** `RuntimeError` if no such point is found.
         """

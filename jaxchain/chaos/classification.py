@@ -191,7 +191,7 @@ class Criteria:
     """The thresholds, with their reasons.
 
     - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
-      Of other cells it is that of each of the m variables, in its own unit; a variable below it
+      Of other cells it applies to each of the m variables, in its unit; a variable below it
       counts in no other criterion.
     - `near`: spread of section points, relative to the amplitude (of each of the m variables of
       other cells), below which Newton's method is tried; it converges from there, and a periodic
@@ -419,7 +419,7 @@ class RunRecord(NamedTuple):
     - `point_times`, `points`: when the reference mass was at a maximum, and the state
       (x_1 .. x_n, v_1 .. v_n) then; of forced cells at multiples of the forcing period.
     - `sizes`: the greatest amplitude over the cells, of each variable of a cell; of masses only
-      that of the displacement.
+      the displacement counts.
     """
 
     t: Float[_Numbers, "*batch W"]

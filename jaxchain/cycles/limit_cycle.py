@@ -436,7 +436,7 @@ class _States(eqx.Module):
     """The equations of a periodic orbit in its state and period, u = (x, v, T) for m = 2.
 
     Those of `closing` cut it where mass `mass` is fastest, or is released by the belt; a forced
-    orbit, whose period is `forcing_periods` times that of the force, at t = 0.
+    orbit, whose period is `forcing_periods` periods of the force, at t = 0.
     """
 
     field: Any

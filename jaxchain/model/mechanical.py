@@ -71,6 +71,8 @@ def _with_closure(function: Any, seen: tuple[Any, ...] = ()) -> jtu.Partial:
     """
     if isinstance(function, partial):
         inner, owned = _with_closure(function.func, seen), (function.args, function.keywords)
+        if not is_traced(inner, owned):  # the same object is the same program
+            return jtu.Partial(function)
         return jtu.Partial(lambda f, owned, *a: f(*owned[0], *a, **owned[1]), inner, owned)
     if not isinstance(function, FunctionType):
         return jtu.Partial(function)

@@ -210,7 +210,7 @@ class Step(eqx.Module):
     def frozen(self) -> Step:
         """The step without derivatives, which may cost more than the observed value.
 
-        An event-driven step has those in theta.
+        Where its interpolant is a module, derivatives in theta remain.
         """
         names = ("field", "t0", "t1", "y0", "y1", "rates")
         fixed = {name: lax.stop_gradient(getattr(self, name)) for name in names}
@@ -307,9 +307,6 @@ def return_point(
     begins, ends = slope(jnp.zeros_like(first)), slope(jnp.ones_like(first))
     sign = jnp.sign(last)
     returns = (first * last >= 0) & (sign * begins < 0) & (sign * ends > 0)
-    # Only where the lines along both ends meet near zero, with a margin: three times their fall.
-    meet = (last - first - ends) / jnp.where(returns, begins - ends, 1.0)
-    returns &= sign * (first + 3.0 * begins * meet) <= 0
 
     def nearest() -> tuple[Array, Array]:
         theta = zeros(slope, returns, begins, ends, elsewhere=1.0, certain=True)

@@ -257,6 +257,13 @@ def test_derivatives_pass_through_the_closure_of_a_force(how):
     np.testing.assert_allclose(many, [0.8, x], rtol=1e-12)
 
 
+def test_the_same_force_is_the_same_program():
+    """A new model with the same function compiles nothing, whatever function it is."""
+    for force in (_cubic(0.5, "closure"), _cubic(0.5, "partial")):
+        one, other = (MechanicalCells(k, local_force=force) for k in (1.0, 2.0))
+        assert jax.tree.structure(one) == jax.tree.structure(other)
+
+
 def test_a_class_has_its_traced_numbers_as_fields():
     def period(k):
         class Cubic(AbstractCells):
