@@ -56,9 +56,7 @@ from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.branches import (
     CyclePoint,
-    cycle_weights,
     cycles_at,
-    linearise,
     return_of_broken,
 )
 from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
@@ -151,12 +149,8 @@ class _CycleEquations(eqx.Module):
     def values(self, U: Array) -> tuple[Array, Array, Any, Array, Array]:
         """(R, [F_u F_p ...], further results, a, b) from one integration."""
         u, parameters, kappa = self.split(U)
-        if self.dry:
-            r, slopes, extra = self.shooting.linearise(u, *parameters)
-            M = jnp.zeros(())
-        else:
-            r, slopes, extra = linearise(u, parameters, self.shooting)
-            M = extra.monodromy
+        r, slopes, extra = self.shooting.cycle(u, *parameters)
+        M = jnp.zeros(()) if self.dry else extra.monodromy
         if self.kind == "torus":
             left, right = _pair(M, kappa)
             return jnp.append(r, _of_pair(left @ M @ right, kappa)), slopes, extra, left, right
@@ -212,9 +206,9 @@ class _CycleEquations(eqx.Module):
         return self.shooting.parameter
 
     def weights(self, U: np.ndarray) -> np.ndarray:
-        """Of the norm of steps, see `cycle_weights`."""
+        """Of the norm of steps, see `Shooting.weights`."""
         m = self.shooting.size
-        of_cycle = np.full(m, m**-0.5) if self.dry else cycle_weights(self.shooting, 1.0)[:m]
+        of_cycle = self.shooting.weights(1.0)[:m]
         return np.concatenate([of_cycle, np.ones(self._extra), _relative(U[-2:])])
 
     @property
@@ -284,7 +278,7 @@ class _CycleEquations(eqx.Module):
         """(R, its derivatives, further results)."""
         if not self.smooth:
             u, parameters, _ = self.split(U)
-            return self.shooting.linearise(u, *parameters)
+            return self.shooting.cycle(u, *parameters)
         r, slopes, extra, left, right = self.values(U)
         m, k = self.shooting.size, self._extra
         top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]

@@ -16,10 +16,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float
 from scipy.interpolate import BarycentricInterpolator
 
-from .._checks import check_concrete, check_kind, check_one_of, check_whole
+from .._checks import (
+    check_concrete,
+    check_kind,
+    check_one_of,
+    check_pair,
+    check_whole,
+    shown,
+    to_float,
+)
 from .._final import final
 from .._types import ArrayLike, Given, ScalarLike, State, StateLike
 from ..continuation.arclength import (
@@ -39,7 +47,6 @@ from ..continuation.branch import (
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass, as_parameter
-from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.provenance import environment, parameters_of
 from ..observers.amplitude import amplitude_variables
@@ -52,10 +59,11 @@ from .floquet import (
     as_orbit,
     check_orbit,
     forcing_periods_of,
-    is_trusted,
-    orbit_multipliers,
+    scaled_peak_velocity,
 )
-from .shooting import Shooting, residual
+from .phases import KINDS, DryRun, Phases
+from .sequences import Start, change_at, corrector_of, sequence_of, tests_of, vanishing
+from .shooting import CycleLinearisation, Shooting, linearise, residual
 from .symmetry import (
     CycleSymmetry,
     Symmetry,
@@ -93,11 +101,17 @@ class CyclePoint(Printed):
     `kind`: "fold"; "hopf" (the amplitude vanishes, and the branch ends in steady sliding);
     "symmetry breaking" (a multiplier +1 of a disturbance that breaks the orbit's symmetry: a
     branch of less symmetric cycles crosses); "branch point" (the same without a symmetry); "period
-    doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `state` (of a chain `x`
+    doubling" (-1); "torus" (a pair leaves the unit circle).  With dry friction also changes of the
+    sequence of sticking and sliding: "grazing" (a mass that slides just touches the belt speed,
+    and sticks shortly beyond), "release" (a mass that sticks slides shortly beyond), "stick onset"
+    (it sticks where it passed the belt speed) or one of them the other way round, and "two events"
+    (of two masses, which exchange their order); "grazing fold" and so on where the parameter turns.
+    `parameter`, `state` (of a chain `x`
     and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
     whether the search converged, with a known error; `error`: of `parameter`, from the search and
     from the integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
-    `shooting`; `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along
+    `shooting`; `scaled_peak_velocity` as in `CycleBranch`; `symmetries` of
+    a "symmetry breaking": the subgroups, as `CycleSymmetry`, along
     which other branches leave, one of each class of conjugate ones.
 
     See `continue_cycle` for an example.
@@ -112,7 +126,8 @@ class CyclePoint(Printed):
     refined: bool
     error: float
     raw: SpecialPoint
-    shooting: Shooting
+    shooting: Shooting | Phases
+    scaled_peak_velocity: float
     symmetries: tuple[CycleSymmetry, ...] = ()
 
     @property
@@ -264,60 +279,6 @@ def with_less_symmetry(
     )
 
 
-class CycleLinearisation(eqx.Module):
-    """Further results of `linearise`.
-
-    - `state`: that on the section; `period`.
-    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
-    - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
-    - `amplitude` (n,): half peak-to-peak of each displacement over a period.
-    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v); `part`: Q of
-      `Period`, which is M without a shift.
-    - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
-      = |M f - f| / |f|.
-    - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
-    """
-
-    state: State
-    period: Float[Array, ""]
-    speed: Float[Array, ""]
-    times_round: Int[Array, ""]
-    amplitude: Float[Array, " n"]
-    monodromy: Float[Array, "two_n two_n"]
-    part: Float[Array, "two_n two_n"]
-    multipliers: Complex[Array, " others"]
-    trivial_defect: Float[Array, ""]
-    sound: Bool[Array, ""]
-
-
-def linearise(
-    u: Float[Array, " m"], parameter: Any, shooting: Shooting
-) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
-    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
-
-    `parameter`: the value of `shooting.parameter`, or a tuple of values if it names several.
-    """
-    parameters = parameter if isinstance(parameter, tuple) else (parameter,)
-    r, jacobian, whole = shooting.linearise(u, *parameters)
-    field, state, period = shooting.unpack(u, *parameters)
-    f = None if shooting.forcing_periods else jnp.concatenate(field(0.0, state))
-    floquet = orbit_multipliers(whole.monodromy, f)
-    sound = field.can_be_cycle(period, whole.fastest)
-    extra = CycleLinearisation(
-        state,
-        period,
-        field.belt_direction() * field.value_and_rate(0.0, state)[1][shooting.mass],
-        whole.returned.times_round,
-        whole.amplitude,
-        whole.monodromy,
-        whole.part,
-        floquet.multipliers,
-        floquet.defect,
-        sound & is_trusted(floquet.multipliers, floquet.defect),
-    )
-    return r, jacobian, extra
-
-
 def cycles_at(
     u: Float[np.ndarray, "k m"], parameters: Float[np.ndarray, "k more"], shooting: Shooting
 ) -> tuple[Any, Float[np.ndarray, " k"], Float[np.ndarray, "k n"]]:
@@ -451,14 +412,11 @@ def special_tests(
     symmetry makes two multipliers pass +1 together, disturbances of less symmetry have one.
     """
 
-    def vanishing(extra: CycleLinearisation) -> float:
-        # The equations are divided by the amplitude: nearer to zero they are noise.
-        speed = float(extra.speed)
-        return 0.0 if abs(speed) < 1e-4 else speed
-
     images, m, forced = shooting.images, shooting.m, shooting.forcing_periods is not None
     symmetric = len(set(images)) < len(images) or shooting.shift is not None
-    of: dict[str, Callable[[Any], float]] = {} if forced else {"hopf": vanishing}
+    of: dict[str, Callable[[Any], float]] = {}
+    if not forced:
+        of["hopf"] = lambda extra: vanishing(float(extra.speed))
     # One multiplier besides the trivial one is never negative.
     if m * len(images) > 2 or forced:
         of |= {"period doubling": doubling, "torus": encircling}
@@ -467,15 +425,49 @@ def special_tests(
     return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
 
 
-def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
-    """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
-    m = shooting.size
-    weights = np.full(m + 1, len(shooting.solved) ** -0.5)
-    weights[shooting.z_index] = 1.0
-    if shooting.forcing_periods is None:
-        weights[m - 1] = 1.0
-    weights[m] = 1.0 / (abs(p) or 1.0)
-    return weights
+ENDS = (*KINDS, "hopf")
+"""The tests at whose zero a piece of a branch of dry cycles ends."""
+
+
+def dry_tests(orbit: Phases) -> dict[str, Callable[..., float]]:
+    """The tests of `continue_branch` for a sequence of phases."""
+    of: dict[str, Callable[..., float]] = dict(tests_of(orbit))
+    if orbit.m * orbit.n > 2 or orbit.forcing_periods is not None:
+        of["period doubling"] = lambda u, p, tangent, extra: doubling(extra)
+        of["torus"] = lambda u, p, tangent, extra: encircling(extra)
+    return of
+
+
+def dry_cycles(
+    rows: Sequence[tuple[Phases, np.ndarray, float]], mass: int, rtol: Any
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
+    """(state, period, amplitude, scaled peak velocity of `mass`) of dry cycles, at their cut."""
+    orbit, d = rows[0][0], rows[0][0].m * rows[0][0].n
+    forced = orbit.forcing_periods is not None
+    columns = [
+        (u[:d], u[d] if forced else 0.0, np.sum(u[-len(of.events) :]), p) for of, u, p in rows
+    ]
+    given, k = [np.array(column) for column in zip(*columns, strict=True)], len(rows)
+    parts = []
+    for first in range(0, k, _TOGETHER):
+        some = [column[np.minimum(first + np.arange(_TOGETHER), k - 1)] for column in given]
+        runs = DryRun(orbit.field, to_float(rtol), mass, orbit.forcing_periods)
+        parts.append(_dry_cycles(runs, orbit.parameter, orbit.m, *some))
+    return jax.tree.map(lambda *part: np.concatenate(part)[:k], *parts)
+
+
+@eqx.filter_jit
+def _dry_cycles(
+    runs: DryRun, name: str, m: int, y: Array, t0: Array, period: Array, p: Array
+) -> Any:
+    def one(y: Array, t0: Array, period: Array, p: Array) -> Any:
+        own = replace(runs, field=runs.field.with_(**{name: p}))
+        state, _, seen = own.from_the_cut(tuple(jnp.split(y, m)), period, t0)
+        low, high, fastest, _ = seen
+        peaks = scaled_peak_velocity(own.field, fastest)
+        return state, period, (high - low) / 2, peaks[runs.mass]
+
+    return jax.vmap(one)(y, t0, period, p)
 
 
 class NoBranchError(RuntimeError):
@@ -497,7 +489,9 @@ class CycleBranch(Printed):
     - `multipliers` (k, 2n - 1): without the trivial one, whose error is `trivial_defect` (k,), the
       greatest modulus first; `unstable` (k,): the number of multipliers outside the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
-    - `shooting`, `branch`: the equations, and the branch as their solution (with `counts`).
+    - `pieces`: of each piece of the branch the equations, and the branch as their solution (with
+      `counts`); more than one with dry friction, whose sequence of phases changes.  `shooting`,
+      `branch`: of the last one.
 
     See `continue_cycle` for an example.
     """
@@ -511,8 +505,17 @@ class CycleBranch(Printed):
     multipliers: Complex[np.ndarray, "k others"]
     trivial_defect: Float[np.ndarray, " k"]
     special: tuple[CyclePoint, ...]
-    shooting: Shooting
-    branch: Branch
+    pieces: tuple[tuple[Shooting | Phases, Branch], ...]
+
+    @property
+    def shooting(self) -> Any:
+        """The equations of the last piece."""
+        return self.pieces[-1][0]
+
+    @property
+    def branch(self) -> Branch:
+        """The last piece, as solution of its equations."""
+        return self.pieces[-1][1]
 
     @property
     def x(self) -> Float[np.ndarray, "k n"]:
@@ -617,9 +620,8 @@ class CycleBranch(Printed):
             np.stack([*part, *(point.state[i] for point in special)])
             for i, part in enumerate(self.state)
         ]
-        u = np.reshape([point.raw.u for point in special], (-1, self.branch.u.shape[1]))
         scaled_peak_velocity = np.append(
-            self.scaled_peak_velocity, _scaled_peak_velocity(self.shooting, u)
+            self.scaled_peak_velocity, [point.scaled_peak_velocity for point in special]
         )
         field = self.shooting.field
         time = field.time_unit
@@ -761,11 +763,28 @@ def continue_cycle(
         mass = getattr(model, "mass", None)
     field, state, period = as_orbit(model, state, period)
     check_concrete("use `find_limit_cycle`.", model=field, state=state, period=period)
-    require_smoothed(field, "follow `find_limit_cycle` from one belt speed to the next, or ")
     state = check_orbit(field, state, period, rtol)
     n, velocity = state[0].size, field.value_and_rate(0.0, state)[1]
     mass = int(as_mass(n, mass, int(jnp.argmax(field.belt_direction() * velocity))))
     p = float(as_parameter(field, parameter))
+    options = {
+        "step": step,
+        "min_step": min_step,
+        "max_step": max_step,
+        "max_points": max_points,
+        "progress": progress,
+        "tolerance": tolerance,
+        "keep_part": keep_part,
+    }
+    if field.dry:
+        begin = sequence_of(field, state, period, mass, parameter, float(tolerance))
+        if begin is None:
+            raise NoBranchError(
+                "No sequence of sticking and sliding was found that has this cycle: give one of "
+                "`find_limit_cycle`, or begin at another value of the parameter."
+            )
+        begin = begin._replace(direction=_sign(direction) * begin.direction)
+        return _follow_dry(begin, mass, rtol, bounds, stop, options)
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
     images, shift = as_symmetry(images, field, state, mass)
     forcing_periods = forcing_periods_of(field, period)
@@ -778,15 +797,6 @@ def continue_cycle(
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
         heading[shooting.z_index] = 1.0 if direction == "stick" else -1.0
-    options = {
-        "step": step,
-        "min_step": min_step,
-        "max_step": max_step,
-        "max_points": max_points,
-        "progress": progress,
-        "tolerance": tolerance,
-        "keep_part": keep_part,
-    }
     return _follow(shooting, u, p, heading, bounds, stop, options)
 
 
@@ -835,8 +845,8 @@ def switch_cycle(
     """
     check_kind("branch", branch, CycleBranch, "one of `continue_cycle`")
     check_kind("point", point, CyclePoint, "one of `branch.special`")
-    shooting, raw = branch.shooting, point.raw
-    if point.kind == "symmetry breaking":
+    shooting, raw = point.shooting, point.raw
+    if point.kind == "symmetry breaking" and isinstance(shooting, Shooting):
         check_whole("symmetry", symmetry, 0, len(point.symmetries) - 1, _SUBGROUPS)
         shooting, raw = with_less_symmetry(shooting, point, point.symmetries[symmetry])
     elif point.kind != "branch point":
@@ -847,7 +857,7 @@ def switch_cycle(
     tolerance = options.setdefault("tolerance", 1e-9)
     switched: Switched = switch_branch(
         residual, raw, shooting, side=side, step=step, tolerance=tolerance,
-        weights=cycle_weights(shooting, raw.p), value_and_jacobian=linearise,
+        weights=shooting.weights(raw.p), value_and_jacobian=linearise,
     )  # fmt: skip
     if switched.u is None or switched.p is None:
         raise RuntimeError(switched.reason)
@@ -866,7 +876,7 @@ def _follow(
 ) -> CycleBranch:
     less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
-    weights, tests = cycle_weights(shooting, p), special_tests(shooting, motions)
+    weights, tests = shooting.weights(p), special_tests(shooting, motions)
     first, forced = True, shooting.forcing_periods is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
@@ -927,7 +937,8 @@ def _follow(
                 kind, subgroups = _BREAKING, symmetries_of(e, shooting, motions)
                 if any(other.kind == kind and _same_point(other, point) for other in special):
                     continue  # it was seen in other disturbances, too
-            special.append(CyclePoint(kind, point.p, *orbit, *how, subgroups))
+            peak = float(_scaled_peak_velocity(shooting, point.u[None])[0])
+            special.append(CyclePoint(kind, point.p, *orbit, *how, peak, subgroups))
     # The last point may be its own mirror image, or no cycle.
     if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
         k -= 1
@@ -944,8 +955,131 @@ def _follow(
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
         special=tuple(special),
-        shooting=shooting,
-        branch=branch,
+        pieces=((shooting, branch),),
+    )
+
+
+def _sign(direction: Any) -> int:
+    if isinstance(direction, str) or np.ndim(direction) or direction not in (1, -1):
+        raise ValueError(
+            f"Argument `direction` must be 1 or -1 for dry friction, but is {shown(direction)}: "
+            "it is the sign of the first change of the parameter."
+        )
+    return int(direction)
+
+
+def _follow_dry(
+    start: Start | None,
+    mass: int,
+    rtol: Any,
+    bounds: tuple[Any, Any] | None,
+    stop: Callable[[float, Any], Any] | None,
+    options: dict[str, Any],
+) -> CycleBranch:
+    """A branch of dry cycles, piece by piece, see `cycles/sequences.py`."""
+    pieces: list[tuple[Phases, Branch]] = []
+    points: list[tuple[str, Phases, SpecialPoint]] = []
+    room = np.inf if options["max_points"] is None else options["max_points"]
+    limits = (-np.inf, np.inf) if bounds is None else bounds
+    while start is not None and room > 0:
+        most = None if np.isinf(room) else int(room)
+        try:
+            branch, met = _dry_piece(start, limits, stop, options | {"max_points": most})
+            before, orbit = sum(piece.p.size for _, piece in pieces), start.orbit
+            room -= branch.p.size
+            found = [(s.kind, orbit, s) for s in branch.special if _is_special(s)]
+            start = None
+            if met is not None and met.kind == "hopf":
+                corrector = corrector_of(orbit, met.p, options["tolerance"])
+                rest = _at_rest(corrector, met, {}) or replace(met, refined=False, error=np.inf)
+                found.append(("hopf", orbit, rest))
+                branch = replace(branch, ended="stopped", reason="the amplitude vanishes")
+            elif met is not None:
+                change = change_at(orbit, met, options["tolerance"])
+                kind, start = change.kind, change.start
+                if start is None:
+                    reason = f"no sequence of phases was found beyond the {kind}"
+                    branch = replace(branch, ended="stopped", reason=reason)
+                elif start.direction[-1] * met.tangent[-1] < 0:
+                    kind = f"{kind} fold"
+                found.append((kind, change.orbit, change.raw))
+                if room <= 0:
+                    branch = replace(branch, ended="max_points", reason="")
+            pieces.append((orbit, branch))
+            points += [(kind, of, replace(s, index=s.index + before)) for kind, of, s in found]
+        except KeyboardInterrupt:
+            if not (options["keep_part"] and pieces):
+                raise
+            pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended="interrupted")
+            break
+    return _dry_branch(pieces, points, mass, rtol)
+
+
+def _dry_piece(
+    start: Start,
+    bounds: tuple[Any, Any],
+    stop: Callable[[float, Any], Any] | None,
+    options: dict[str, Any],
+) -> tuple[Branch, SpecialPoint | None]:
+    """(the branch of one sequence, the special point at which it ends, if it does)."""
+    tests = dry_tests(start.orbit)
+
+    def ends(u: np.ndarray, p: float, tangent: Any, extra: Any) -> Any:
+        if not extra.sound:
+            return "it is no longer a cycle: its period, or a duration, is lost"
+        if any(tests[name](u, p, tangent, extra) > 0 for name in ENDS if name in tests):
+            return "the sequence of phases changes"
+        return stop is not None and stop(p, extra)
+
+    branch = continue_branch(
+        residual, start.u, start.p, start.orbit, direction=start.direction, bounds=bounds,
+        weights=start.orbit.weights(start.p), tests=tests, stop=ends,
+        value_and_jacobian=linearise, **options,
+    )  # fmt: skip
+    if not branch.p.size:
+        raise NoBranchError(branch.message)
+    met = min(
+        (s for s in branch.special if s.kind in ENDS), key=lambda s: s.arclength, default=None
+    )
+    return (branch if met is None else branch.up_to(met)), met
+
+
+def _is_special(point: SpecialPoint) -> bool:
+    """Whether it is one; see `encircling`."""
+    return point.kind != "torus" or on_the_circle(point.extra)
+
+
+def _dry_branch(
+    pieces: list[tuple[Phases, Branch]],
+    points: list[tuple[str, Phases, SpecialPoint]],
+    mass: int,
+    rtol: Any,
+) -> CycleBranch:
+    rows = [
+        (orbit, u, p) for orbit, branch in pieces for u, p in zip(branch.u, branch.p, strict=True)
+    ]
+    k = len(rows)
+    rows += [(orbit, raw.u, raw.p) for _, orbit, raw in points]
+    state, period, amplitude, peak = dry_cycles(rows, mass, rtol)
+    special = tuple(
+        CyclePoint(
+            kind, raw.p, tuple(part[i] for part in state), float(period[i]), amplitude[i],
+            raw.extra.multipliers, raw.refined, raw.error + float(raw.extra.error), raw, orbit,
+            float(peak[i]),
+        )
+        for i, (kind, orbit, raw) in enumerate(points, k)
+    )  # fmt: skip
+    return CycleBranch(
+        name=str(pieces[0][0].parameter),
+        parameter=np.concatenate([branch.p for _, branch in pieces]),
+        state=tuple(part[:k] for part in state),
+        period=period[:k],
+        amplitude=amplitude[:k],
+        scaled_peak_velocity=peak[:k],
+        multipliers=np.concatenate([branch.extra.multipliers for _, branch in pieces]),
+        trivial_defect=np.full(k, np.nan),
+        special=special,
+        pieces=tuple(pieces),
     )
 
 

@@ -33,7 +33,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
@@ -42,7 +42,34 @@ from ..model.model import AbstractModel
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
+from .floquet import is_trusted, orbit_multipliers
 from .variational import Period, Shift, flow, linearised_period
+
+
+class CycleLinearisation(eqx.Module):
+    """Further results of `Shooting.cycle`.
+
+    - `state`: that on the section; `period`.
+    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
+    - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
+    - `amplitude` (n,): half peak-to-peak of each displacement over a period.
+    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v); `part`: Q of
+      `Period`, which is M without a shift.
+    - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
+      = |M f - f| / |f|.
+    - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
+    """
+
+    state: State
+    period: Float[Array, ""]
+    speed: Float[Array, ""]
+    times_round: Int[Array, ""]
+    amplitude: Float[Array, " n"]
+    monodromy: Float[Array, "two_n two_n"]
+    part: Float[Array, "two_n two_n"]
+    multipliers: Complex[Array, " others"]
+    trivial_defect: Float[Array, ""]
+    sound: Bool[Array, ""]
 
 
 class Shooting(eqx.Module):
@@ -205,6 +232,39 @@ class Shooting(eqx.Module):
         jacobian = direct + jnp.concatenate(by_end, axis=1) @ end
         return gap(z, whole.end), jacobian, whole
 
+    def cycle(
+        self, u: Float[Array, " m"], *parameters: Any
+    ) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
+        """(R, [R_u R_p], `CycleLinearisation`), from one integration."""
+        r, jacobian, whole = self.linearise(u, *parameters)
+        field, state, period = self.unpack(u, *parameters)
+        f = None if self.forcing_periods else jnp.concatenate(field(0.0, state))
+        floquet = orbit_multipliers(whole.monodromy, f)
+        sound = field.can_be_cycle(period, whole.fastest)
+        extra = CycleLinearisation(
+            state,
+            period,
+            field.belt_direction() * field.value_and_rate(0.0, state)[1][self.mass],
+            whole.returned.times_round,
+            whole.amplitude,
+            whole.monodromy,
+            whole.part,
+            floquet.multipliers,
+            floquet.defect,
+            sound & is_trusted(floquet.multipliers, floquet.defect),
+        )
+        return r, jacobian, extra
+
+    def weights(self, p: float) -> np.ndarray:
+        """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
+        m = self.size
+        weights = np.full(m + 1, len(self.solved) ** -0.5)
+        weights[self.z_index] = 1.0
+        if self.forcing_periods is None:
+            weights[m - 1] = 1.0
+        weights[m] = 1.0 / (abs(p) or 1.0)
+        return weights
+
     def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
         """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
 
@@ -244,9 +304,14 @@ class Shooting(eqx.Module):
         return gaps / field.value_and_rate(0.0, state)[1][self.mass]
 
 
-def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
-    """`Shooting.residual` as a plain function, which is the same object in every call."""
-    return shooting.residual(u, parameter)
+def residual(u: Float[Array, " m"], parameter: Any, orbit: Any) -> Float[Array, " m"]:
+    """The equations of a cycle as a plain function, which is the same object in every call."""
+    return orbit.residual(u, parameter)
+
+
+def linearise(u: Float[Array, " m"], parameter: Any, orbit: Any) -> tuple[Array, Array, Any]:
+    """(R, [R_u R_p], further results) of the equations of a cycle, in the same way."""
+    return orbit.cycle(u, parameter)
 
 
 def _layer(field: AbstractModel, v: Array) -> tuple[Any, Any]:
