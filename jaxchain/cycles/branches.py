@@ -23,7 +23,6 @@ from .._checks import (
     check_concrete,
     check_kind,
     check_one_of,
-    check_pair,
     check_whole,
     shown,
     to_float,
@@ -105,14 +104,13 @@ class CyclePoint(Printed):
     sequence of sticking and sliding: "grazing" (a mass that slides just touches the belt speed,
     and sticks shortly beyond), "release" (a mass that sticks slides shortly beyond), "stick onset"
     (it sticks where it passed the belt speed) or one of them the other way round, and "two events"
-    (of two masses, which exchange their order); "grazing fold" and so on where the parameter turns.
-    `parameter`, `state` (of a chain `x`
-    and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
-    whether the search converged, with a known error; `error`: of `parameter`, from the search and
-    from the integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
-    `shooting`; `scaled_peak_velocity` as in `CycleBranch`; `symmetries` of
-    a "symmetry breaking": the subgroups, as `CycleSymmetry`, along
-    which other branches leave, one of each class of conjugate ones.
+    (of two masses, which exchange their order); "grazing fold" and so on where `parameter` turns.
+    `parameter`, `state` (of a chain `x` and `v`), `period`, `amplitude`, `multipliers` are those of
+    the cycle at this point; `refined`: whether the search converged, with a known error; `error`:
+    of `parameter`, from the search and from the integration, which uses a tight tolerance; `raw`:
+    the point of the equations, `shooting`; `scaled_peak_velocity` as in `CycleBranch`;
+    `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along which other
+    branches leave, one of each class of conjugate ones.
 
     See `continue_cycle` for an example.
     """
