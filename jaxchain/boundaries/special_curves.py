@@ -598,13 +598,15 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
         shooting, u = slip_phases(chain, point.state, point.period, point.mass, touches)
         equations = _CycleEquations(shooting, "grazing fold" if touches else "fold")
         return equations, "belt_speed", jnp.append(u, point.belt_speed)
-    if point.kind not in (*_KINDS, "grazing fold", *DRY_KINDS):
+    if point.kind.removesuffix(" fold") not in (*_KINDS, *DRY_KINDS):
         raise ValueError(
             f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
             f'"{point.kind}". {remedy}'
         )
     if isinstance(point, SpecialCycle):
         return point.equations, point.parameter, point.unknowns
+    if isinstance(point.shooting, Phases):
+        return _of_sequence(point, point.shooting)
     pairs = point.multipliers[point.multipliers.imag > 0]
     mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
     kappa = [mu.real] if point.kind == "torus" else []
@@ -618,11 +620,26 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
     return equations, str(point.shooting.parameter), U
 
 
+def _of_sequence(point: CyclePoint, phases: Phases) -> tuple[_CycleEquations, str, Array]:
+    """The same of a special point of a branch of dry cycles."""
+    kind = "grazing fold" if phases.slips and phases.special is not None else point.kind
+    if phases.special is None and kind != "fold" or not point.refined:
+        raise ValueError(
+            f'Argument `point` is a "{point.kind}" of a cycle with dry friction'
+            + ("" if point.refined else ", which was not solved for to all digits")
+            + ": folds and changes of the sequence of sticking and sliding are followed; of "
+            "smoothed friction all kinds are, `model.with_(width=1e-3)`."
+        )
+    kind = kind if phases.slips or kind == "fold" else kind.removesuffix(" fold")
+    U = jnp.append(jnp.asarray(point.raw.u), point.parameter)
+    return _CycleEquations(phases, kind), str(phases.parameter), U
+
+
 def _of_dry_cycle(
     point: Any, model: Any, kind: Any, mass: Any, name: Any
 ) -> tuple[_CycleEquations, str, Array]:
     """The same of a cycle with dry friction near a special one."""
-    check_one_of("kind", kind, DRY_KINDS)
+    check_one_of("kind", kind, DRY_KINDS[:3])
     if is_cycle(point):
         field, state, period = point.chain, point.state, point.period
     elif isinstance(point, tuple | list) and len(point) == 2 and model is not None:

@@ -88,6 +88,8 @@ _UNIT = 1e-5
 _SUBGROUPS = "it is the index of one of `point.symmetries`."
 # Cycles that are integrated at once, in a sixth of the time.
 _TOGETHER = 8
+# A share of the parameter: closer to a change of the sequence another special point is part of it.
+_SAME = 1e-7
 # Arclength for the slope of a test; the error of a point where no better one can be solved.
 _PROBE, _ROUGH = 1e-4, 1e-6
 
@@ -985,7 +987,11 @@ def _follow_dry(
             branch, met = _dry_piece(start, limits, stop, options | {"max_points": most})
             before, orbit = sum(piece.p.size for _, piece in pieces), start.orbit
             room -= branch.p.size
-            found = [(s.kind, orbit, s) for s in branch.special if _is_special(s)]
+            found = [
+                (s.kind, orbit, s)
+                for s in branch.special
+                if _is_special(s) and (met is None or abs(s.p - met.p) > _SAME * abs(met.p))
+            ]
             start = None
             if met is not None and met.kind == "hopf":
                 corrector = corrector_of(orbit, met.p, options["tolerance"])
@@ -998,7 +1004,7 @@ def _follow_dry(
                 if start is None:
                     reason = f"no sequence of phases was found beyond the {kind}"
                     branch = replace(branch, ended="stopped", reason=reason)
-                elif start.direction[-1] * met.tangent[-1] < 0:
+                elif (start.p - met.p) * (met.p - branch.p[-1]) < 0:
                     kind = f"{kind} fold"
                 found.append((kind, change.orbit, change.raw))
                 if room <= 0:

@@ -35,7 +35,7 @@ from .phases import KINDS, Phases, phases_from, phases_of
 from .shooting import linearise, residual
 
 # Shares of a period: of a phase that is gone, and of one with which a new sequence begins.
-_GONE, _BEGIN = 1e-7, 1e-4
+_GONE, _BEGIN = (1e-5, 1e-7), 1e-4
 # How close to an event others happen with it, in the shares of `CycleProperties.margins`, or as a
 # share of the phase; and how close in the run from which a sequence is read.
 _TOGETHER, _SAME_TIME, _GROUPED = 1e-5, 1e-3, 1e-3
@@ -271,11 +271,15 @@ def _sequences(
     first = np.flatnonzero(orbit.apart)  # the phase of each part, which lasts
     last = np.append(first[1:], k) - 1  # the phase after which all of its events are over
     lasting = _Along(*(part[first] for part in at))
-    gone = [] if orbit.slips else [j for j, a in enumerate(parts) if a.duration < _GONE * period]
-    if gone:
-        found = _without(parts, at.states[last, -1], gone)
-        if found is not None:
-            yield found
+    before: list[int] = []
+    # Those of masses that move alike are gone together, but for errors.
+    for share in () if orbit.slips else _GONE:
+        gone = [j for j, part in enumerate(parts) if part.duration < share * period]
+        if gone and gone != before:
+            found = _without(parts, at.states[last, -1], gone)
+            before = gone
+            if found is not None:
+                yield found
     if raw.kind in ("grazing", "release"):
         yield from _with_touches(orbit, parts, lasting, raw.kind)
     elif raw.kind == "stick onset":
