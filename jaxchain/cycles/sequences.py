@@ -46,7 +46,8 @@ class _Part(NamedTuple):
     """A phase: the mode of each mass, its duration, the events at its end, whether it is new.
 
     By symmetry several masses may have the same event at the same time, all along a branch.
-    `special`: the kind of the special cycle to which the first event belongs, or "".
+    `special`: the kind of the special cycle to which the first event belongs, or ""; `onset`: the
+    masses that are at the onset of sticking as they land, on a special cycle.
     """
 
     mode: tuple[float, ...]
@@ -54,6 +55,7 @@ class _Part(NamedTuple):
     events: tuple[tuple[str, int, float], ...]
     new: bool = False
     special: str = ""
+    onset: frozenset[int] = frozenset()
 
     @property
     def masses(self) -> frozenset[int]:
@@ -158,7 +160,7 @@ def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]
         for first, event in enumerate(part.events):
             modes.append(tuple(mode))
             mode[event[1]] = after[event[1]]
-            if event[0] == "landing" and not (part.special and event[1] in of.alike):
+            if event[0] == "landing" and event[1] not in part.onset:
                 onsets.append(-1 if after[event[1]] == STICK else 1)
             else:
                 onsets.append(0)
@@ -318,7 +320,11 @@ def _without(
         special = [p._replace(special=kind) if j == swapped[0] else p for j, p in enumerate(parts)]
         exact = _Sequence(special, ends[-1])
     elif touch is not None:
-        exact = _reordered(parts, ends, removed, [], (kind, *touch))
+        at_onset = [
+            part._replace(onset=frozenset(i for q, i in removed if q == (j + 1) % k))
+            for j, part in enumerate(parts)
+        ]
+        exact = _reordered(at_onset, ends, removed, [], (kind, *touch))
     beyond = _reordered(parts, ends, removed, swapped)
     if beyond is None:
         return None
@@ -476,7 +482,7 @@ def _with_onsets(
     """With a short stick after a landing, or a short slip before it sticks."""
     limit = np.broadcast_to(np.asarray(orbit.field.static_limit()), orbit.n)
     new: list[_Part] = []
-    exact, alike = [*parts], set()
+    exact, alike, first = [*parts], set(), True
     for k, part in enumerate(parts):
         after, changes, events = parts[(k + 1) % len(parts)], {}, []
         for event, i, _ in part.events:
@@ -486,11 +492,13 @@ def _with_onsets(
                 sticks = after.mode[i] == STICK
                 changes[i] = sign if sticks else STICK
                 events.append(("landing" if sticks else "release", i, sign))
-                if not alike:
+                alike.add(i)
+                exact[k] = exact[k]._replace(onset=exact[k].onset | {i})
+                if first:
                     own = event, i, sign
                     others = tuple(other for other in part.events if other[1] != i)
-                    exact[k] = part._replace(events=(own, *others), special="stick onset")
-                alike.add(i)
+                    exact[k] = exact[k]._replace(events=(own, *others), special="stick onset")
+                first = False
         new.append(part)
         if events:
             new.append(_Part(_with_mode(after.mode, changes), 0.0, tuple(events), True))
