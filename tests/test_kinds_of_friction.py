@@ -132,6 +132,13 @@ LONG = {
     ),
     "find_limit_cycle": (ONE, cycle, 2e-3),
     "find_limit_cycle unstable": (ONE, lambda c: cycle(c, "unstable"), 1e-8),
+    "continue_cycle": (
+        ONE,
+        lambda c: jc.continue_cycle(
+            jc.find_limit_cycle(c, branch="unstable"), direction=-1
+        ).of_kind("hopf")[0].parameter,
+        1e-8,
+    ),
     "guess_from_simulation": (
         ONE, lambda c: jc.cycles.guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
     ),
@@ -223,7 +230,6 @@ REFUSED = {
         lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
     ),
     "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
-    "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
     "find_special_cycle": (
         lambda c: jc.boundaries.find_special_cycle(cycle_branch(1).special[0], c),
         "give it a width",

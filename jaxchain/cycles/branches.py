@@ -60,7 +60,7 @@ from .floquet import (
     forcing_periods_of,
     scaled_peak_velocity,
 )
-from .phases import KINDS, DryRun, Phases
+from .phases import KINDS, CycleProperties, DryRun, Phases
 from .sequences import Start, change_at, corrector_of, sequence_of, tests_of, vanishing
 from .shooting import CycleLinearisation, Shooting, linearise, residual
 from .symmetry import (
@@ -379,12 +379,12 @@ def breaking(extra: CycleLinearisation, shooting: Shooting, kept: Symmetry) -> f
     return _signed(np.linalg.eigvals(block) - at + 0.0j)
 
 
-def doubling(extra: CycleLinearisation) -> float:
+def doubling(extra: CycleLinearisation | CycleProperties) -> float:
     """Zero where a multiplier is -1."""
     return _signed(np.asarray(extra.multipliers) + 1.0)
 
 
-def encircling(extra: CycleLinearisation) -> float:
+def encircling(extra: CycleLinearisation | CycleProperties) -> float:
     """From |mu|^2 - 1 of all pairs: it changes its sign as a pair leaves the unit circle.
 
     Pairs of real multipliers count, too, as mu_i mu_j - 1, so that the sign does not change where
@@ -397,7 +397,7 @@ def encircling(extra: CycleLinearisation) -> float:
     return _signed(np.concatenate([pairs, real[i] * real[j] - 1.0]) + 0.0j)
 
 
-def on_the_circle(extra: CycleLinearisation) -> bool:
+def on_the_circle(extra: CycleLinearisation | CycleProperties) -> bool:
     """Whether a complex pair of multipliers has modulus 1."""
     mu: Any = np.asarray(extra.multipliers)
     return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < 1e-4))

@@ -265,9 +265,10 @@ class Phases(eqx.Module):
         events, apart = jnp.asarray(self.events), jnp.asarray(self.apart)
         group = jnp.cumsum(apart)
         group = jnp.where(group == 0, group[-1], group)
-        touch = (events[:, 0] % 2 == 1)[:, None] & jnp.asarray(self.alike)
-        own = (events[:, 1][:, None] == jnp.arange(self.n)) | touch
-        return jnp.any((group[:, None] == group)[..., None] & own, axis=1)
+        touch = jnp.outer(events[:, 0] % 2, self.alike) > 0
+        own = (events[:, 1][:, None] == jnp.arange(self.n)[None]) | touch
+        together = group[:, None] == group[None]
+        return together.astype(int) @ own.astype(int) > 0
 
     def _margins(self, values: Array, highest: Array, durations: Array, limit: Array) -> Array:
         """See `CycleProperties`."""
@@ -332,7 +333,7 @@ class Phases(eqx.Module):
         matrix = end[:, : m - k] - end[:, m - k :] @ back
         values = jnp.linalg.eigvals(matrix)
         # What a stick erases is 0, and one more: no disturbance leaves the section.
-        least = multiplier_resolution(jnp.append(matrix, 1.0))
+        least = jnp.maximum(multiplier_resolution(matrix), multiplier_resolution(jnp.eye(1)))
         values = jnp.where(jnp.abs(values) < least, 0.0, values)
         return values[jnp.argsort(-jnp.abs(values))[:-1]]
 
