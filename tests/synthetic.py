@@ -116,7 +116,7 @@ def cycle_branch(n=2, special=("fold", "hopf")):
     return CycleBranch(
         "belt_speed", speed, (amplitude, -amplitude), np.linspace(6.31, 6.28, 8), amplitude,
         np.linspace(3.0, -10.0, 8), multipliers, np.full(8, 1e-9), tuple(points),
-        ((shooting, Branch(u, speed, np.arange(8.0), tangents, none, None, (), "stopped")),),
+        ((shooting, Branch(u, speed, np.arange(8.0), tangents, none, None, (), "stopped")),), 0,
     )  # fmt: skip
 
 

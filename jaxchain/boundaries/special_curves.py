@@ -623,7 +623,7 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
 def _of_sequence(point: CyclePoint, phases: Phases) -> tuple[_CycleEquations, str, Array]:
     """The same of a special point of a branch of dry cycles."""
     kind = "grazing fold" if phases.slips and phases.special is not None else point.kind
-    if phases.special is None and kind != "fold" or not point.refined:
+    if (phases.special is None and kind != "fold") or not point.refined:
         raise ValueError(
             f'Argument `point` is a "{point.kind}" of a cycle with dry friction'
             + ("" if point.refined else ", which was not solved for to all digits")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import equinox as eqx
 import jax
@@ -107,8 +107,8 @@ class CyclePoint(Printed):
     and sticks shortly beyond), "release" (a mass that sticks slides shortly beyond), "stick onset"
     (it sticks where it passed the belt speed) or one of them the other way round, and "two events"
     (of two masses, which exchange their order); "grazing fold" and so on where `parameter` turns.
-    `parameter`, `state` (of a chain `x` and `v`), `period`, `amplitude`, `multipliers` are those of
-    the cycle at this point; `refined`: whether the search converged, with a known error; `error`:
+    `parameter`, `state` (of a chain `x` and `v`), `period`, `amplitude`, `multipliers` are those
+    of this cycle; `refined`: whether the search converged, with a known error; `error`:
     of `parameter`, from the search and from the integration, which uses a tight tolerance; `raw`:
     the point of the equations, `shooting`; `scaled_peak_velocity` as in `CycleBranch`;
     `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along which other
@@ -480,15 +480,18 @@ class CycleBranch(Printed):
     """A branch of k cycles in order, as data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
-    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass
-      `shooting.mass` in the direction of the belt (of what is forced, at t = 0); `period` (k,).
+    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass `mass` in the
+      direction of the belt (of what is forced, at t = 0; with dry friction where the belt releases
+      a mass that sticks); `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
-    - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle; NaN without
-      friction.
-    - `multipliers` (k, 2n - 1): without the trivial one, whose error is `trivial_defect` (k,), the
+    - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle, see
+      `LimitCycle`; NaN without friction.
+    - `multipliers` (k, 2n - 1): without the trivial one, whose error is `trivial_defect` (k,) (NaN
+      with dry friction, where the equations of the return leave it out), the
       greatest modulus first; `unstable` (k,): the number of multipliers outside the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
+    - `mass`: the index of the mass at whose greatest velocity the cycles are cut.
     - `pieces`: of each piece of the branch the equations, and the branch as their solution (with
       `counts`); more than one with dry friction, whose sequence of phases changes.  `shooting`,
       `branch`: of the last one.
@@ -506,6 +509,7 @@ class CycleBranch(Printed):
     trivial_defect: Float[np.ndarray, " k"]
     special: tuple[CyclePoint, ...]
     pieces: tuple[tuple[Shooting | Phases, Branch], ...]
+    mass: int
 
     @property
     def shooting(self) -> Any:
@@ -687,7 +691,7 @@ class CycleBranch(Printed):
                 "message": self.message,
                 "solver": repr(shooting.solver),
                 "rtol": float(shooting.rtol),
-                "cut_at_oscillator": shooting.mass + 1,
+                "cut_at_oscillator": self.mass + 1,
                 "images": json.dumps(shooting.images),
                 "shift": json.dumps(shooting.shift),
                 "symmetry": self.symmetry,
@@ -716,11 +720,16 @@ def continue_cycle(
     tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> CycleBranch:
-    """Follows a cycle as a parameter of the chain changes, around folds, with stability.
+    """Follows a cycle as a parameter of the model changes, around folds, with stability.
 
     Pseudo-arclength continuation (`continue_branch`) of the shooting equations, with a section at
     the greatest velocity of one mass, in the coordinates u = (x_n, z_n = asinh(w_n / eps), ln T).
     In these the layer of a smoothed fold, of thickness O(eps), has the same width for all eps.
+
+    With dry friction a cycle is a sequence of phases of sticking and sliding, and the unknowns are
+    the state after one event and the duration of each phase.  Where the sequence changes, the
+    branch goes on with the next one, and has a special point, see `CyclePoint`.  Multipliers
+    contain the jumps at events; those that sticking erases are exactly 0.
 
     **Arguments:**
 
@@ -730,17 +739,19 @@ def continue_cycle(
       `AbstractOscillators` or `AbstractCells`; forced ones are cut at t = 0.
     - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
       scalar array (`coupling` is the constant of their springs); `bounds`: its range, at whose
-      ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold use
-      "stick" or "slip" to start towards greater or smaller scaled_peak_velocity of that mass.
+      ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold of
+      smoothed friction use "stick" or "slip" to start towards greater or smaller
+      scaled_peak_velocity of that mass.
     - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
       Or a `CycleSymmetry`, as of `cycle_symmetry`, whose shift of time is kept, too.  The orbit
-      keeps this symmetry; multipliers are those of all disturbances.
+      keeps this symmetry; multipliers are those of all disturbances.  Ignored with dry friction.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`, `keep_part` (after
       Ctrl-C): see `continue_branch`; lengths are (mean of x^2 and z^2 of the others + z_j^2 +
       ln^2 T + p^2)^(1/2).
     - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf
       point, where the amplitude vanishes.
-    - `rtol`: tolerance of the integration.
+    - `rtol`: tolerance of the integration; of dry cycles only that of states and amplitudes, whose
+      branch is integrated to rounding.
 
     **Returns:** a `CycleBranch`, also after Ctrl-C.  The error of its points is about ten times
     `rtol`.  Special points use an `rtol` of at most 3e-11, and each has an `error`.
@@ -757,6 +768,9 @@ def continue_cycle(
         >>> branch = continue_cycle(cycle)  # up, round the fold, and down to the Hopf point
         >>> [(point.kind, round(point.parameter, 6)) for point in branch.special]
         [('fold', 1.792456), ('hopf', 1.151293)]
+        >>> dry = continue_cycle(find_limit_cycle(paper_chain(1, belt_speed=1.5, width=None)))
+        >>> [(point.kind, round(point.parameter, 6)) for point in dry.special]
+        [('grazing fold', 1.836601), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
     if state is None and period is None and mass is None:
@@ -846,9 +860,11 @@ def switch_cycle(
     check_kind("branch", branch, CycleBranch, "one of `continue_cycle`")
     check_kind("point", point, CyclePoint, "one of `branch.special`")
     shooting, raw = point.shooting, point.raw
-    if point.kind == "symmetry breaking" and isinstance(shooting, Shooting):
+    if point.kind == "symmetry breaking":
         check_whole("symmetry", symmetry, 0, len(point.symmetries) - 1, _SUBGROUPS)
-        shooting, raw = with_less_symmetry(shooting, point, point.symmetries[symmetry])
+        shooting, raw = with_less_symmetry(
+            cast(Shooting, shooting), point, point.symmetries[symmetry]
+        )
     elif point.kind != "branch point":
         raise ValueError(
             'Argument `point` must be of kind "symmetry breaking" or "branch point", but is a '
@@ -861,8 +877,12 @@ def switch_cycle(
     )  # fmt: skip
     if switched.u is None or switched.p is None:
         raise RuntimeError(switched.reason)
-    options = {"step": step, "min_step": 1e-6, "max_step": 0.3, "max_points": 300, **options}
-    return _follow(shooting, switched.u, switched.p, switched.direction, bounds, stop, options)
+    defaults = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300, "keep_part": True}
+    options = {"step": step, **defaults, **options}
+    start = switched.u, switched.p, switched.direction
+    if isinstance(shooting, Phases):
+        return _follow_dry(Start(shooting, *start), branch.mass, RTOL, bounds, stop, options)
+    return _follow(shooting, *start, bounds, stop, options)
 
 
 def _follow(
@@ -956,6 +976,7 @@ def _follow(
         trivial_defect=extra.trivial_defect[:k],
         special=tuple(special),
         pieces=((shooting, branch),),
+        mass=shooting.mass,
     )
 
 
@@ -1084,6 +1105,7 @@ def _dry_branch(
         trivial_defect=np.full(k, np.nan),
         special=special,
         pieces=tuple(pieces),
+        mass=mass,
     )
 
 
