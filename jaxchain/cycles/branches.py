@@ -90,6 +90,8 @@ _SUBGROUPS = "it is the index of one of `point.symmetries`."
 _TOGETHER = 8
 # A share of the parameter: closer to a change of the sequence another special point is part of it.
 _SAME = 1e-7
+# The least amplitude of a family of cycles, over its first one.
+_SMALL = 1e-3
 # Arclength for the slope of a test; the error of a point where no better one can be solved.
 _PROBE, _ROUGH = 1e-4, 1e-6
 
@@ -415,7 +417,7 @@ def special_tests(
     images, m, forced = shooting.images, shooting.m, shooting.forcing_periods is not None
     symmetric = len(set(images)) < len(images) or shooting.shift is not None
     of: dict[str, Callable[[Any], float]] = {}
-    if not forced:
+    if not forced and not shooting.is_family:
         of["hopf"] = lambda extra: vanishing(float(extra.speed))
     # One multiplier besides the trivial one is never negative.
     if m * len(images) > 2 or forced:
@@ -480,9 +482,9 @@ class CycleBranch(Printed):
     """A branch of k cycles in order, as data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
-    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass `mass` in the
-      direction of the belt (of what is forced, at t = 0; with dry friction where the belt releases
-      a mass that sticks); `period` (k,).
+    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass `mass` along
+      the belt (of what is forced, at t = 0; with dry friction where the belt releases a mass that
+      sticks); `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
     - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle, see
@@ -676,6 +678,7 @@ class CycleBranch(Printed):
             row.unit,
         )
         n, shooting = self.x.shape[1], self.shooting
+        of_cycles.pop(self.name, None)  # a family over its period
         return Dataset(
             variables("", "point", slice(k), of_cycles | of_points)
             | at_special
@@ -737,7 +740,9 @@ def continue_cycle(
       `mass` (by default the fastest) in the direction of the belt; or all three in one
       `LimitCycle`.  A multiple of the minimal period is reduced to it.  The chain may be any
       `AbstractOscillators` or `AbstractCells`; forced ones are cut at t = 0.
-    - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
+    - `parameter`: "period" for cycles without damping, which are a family over their period and
+      energy (the nonlinear normal mode, whose amplitude over frequency is the backbone curve);
+      else a scalar argument of `Chain.with_`, or a field of other oscillators that is a
       scalar array (`coupling` is the constant of their springs); `bounds`: its range, at whose
       ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold of
       smoothed friction use "stick" or "slip" to start towards greater or smaller
@@ -780,7 +785,14 @@ def continue_cycle(
     state = check_orbit(field, state, period, rtol)
     n, velocity = state[0].size, field.value_and_rate(0.0, state)[1]
     mass = int(as_mass(n, mass, int(jnp.argmax(field.belt_direction() * velocity))))
-    p = float(as_parameter(field, parameter))
+    family = parameter == "period" and not field.has_parameter("period")
+    if family and (field.dry or field.forcing_period() is not None):
+        raise ValueError(
+            'Argument `parameter` is "period", of which cycles without damping are a family, but '
+            f"this model {'has dry friction' if field.dry else 'is forced'}: name a parameter of "
+            "the model."
+        )
+    p = float(period if family else as_parameter(field, parameter))
     options = {
         "step": step,
         "min_step": min_step,
@@ -897,14 +909,16 @@ def _follow(
     less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
     weights, tests = shooting.weights(p), special_tests(shooting, motions)
-    first, forced = True, shooting.forcing_periods is not None
+    first, forced = None, shooting.forcing_periods is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
         nonlocal first
         del u, tangent
-        first, begins = False, first
+        begins, first = first is None, first or extra
         if begins and extra.times_round > 1 and not forced:
             return True
+        if shooting.is_family and extra.speed < _SMALL * first.speed:
+            return "the amplitude vanishes"
         if not extra.sound:
             return "it is no longer a cycle, by its speed, period or trivial multiplier"
         if extra.speed <= 0 and not forced:
@@ -935,8 +949,10 @@ def _follow(
     if extra.times_round[0] > 1 and not forced:
         if branch.ended == "interrupted":
             raise KeyboardInterrupt
-        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(extra.times_round[0]))
-        return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
+        times = extra.times_round[0]
+        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
+        p = float(branch.p[0]) / (times if shooting.is_family else 1)
+        return _follow(shooting, once, p, heading, bounds, stop, options)
     refine = refined(shooting, weights, options["tolerance"], tests)
     hopf = {point.index for point in branch.special if point.kind == "hopf"}
     special = []

@@ -39,6 +39,7 @@ from .._checks import (
 )
 from .._final import final
 from .._types import Given, ScalarLike, State
+from ..continuation.arclength import make_corrector
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass, as_model, as_state
@@ -77,7 +78,7 @@ from .floquet import (
     orbit_multipliers,
 )
 from .phases import PERIOD_STEPS, STEPS_PER_MASS, DryRun, slipping
-from .shooting import Shooting, greatest_gap, newton_minimal_period
+from .shooting import Shooting, greatest_gap, linearise, newton_minimal_period, residual
 from .symmetry import CycleSymmetry, as_symmetry
 from .variational import Period, Returned, Returns
 
@@ -89,6 +90,7 @@ _PEAKS = 12  # the number of velocity maxima to examine
 _GUESS_STEPS, _STEPS_PER_TIME = 40_000, 150.0
 _MOST_FORCING_PERIODS = 16  # the greatest period of a forced cycle, in periods of the force
 _ROUNDING = 1e-9  # of the number of periods in a run
+_ONE = 1e-6  # how close to 1 the second multiplier of a family is
 
 
 def watched(model: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
@@ -757,7 +759,8 @@ def find_limit_cycle(
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
     equilibrium is never returned as a cycle.  A family, such as cycles without any damping, or
     those beside a mass that friction holds throughout, has no single one: then a multiplier 1
-    leaves `stable` None, or the search fails and says so.
+    leaves `stable` None, or the search fails and says so.  `continue_cycle` follows families
+    without damping over their period.
 
     !!! example
 
@@ -816,9 +819,9 @@ def find_limit_cycle(
     if not failed(cycle) or not throw:
         cycle = with_derivatives(equations, model, cycle, u)
     if throw and failed(cycle):
-        raise RuntimeError(
-            _failure(cycle) if guess is not None else _missing(fixed, branch, reason)
-        )
+        family = isinstance(equations, Shooting) and _is_family(equations, state, period)
+        why = _FAMILY.format(float(period)) if family else _failure(cycle)
+        raise RuntimeError(why if guess is not None else _missing(fixed, branch, reason))
     return cycle
 
 
@@ -874,6 +877,26 @@ def resolve_guess(
             "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
         )
     return mass, state, period
+
+
+_FAMILY = (
+    "There is no single limit cycle near the guess: a second multiplier is 1, so cycles are a "
+    "family, one for each period and energy, as without damping. Follow it from period {:.6g} "
+    'with `continue_cycle(model, state, period, parameter="period")`.'
+)
+
+
+def _is_family(shooting: Shooting, state: State, period: Array) -> bool:
+    """Whether a cycle of this period is one of a family."""
+    if shooting.forcing_periods is not None:
+        return False
+    family = replace(shooting, parameter="period")
+    u = np.append(family.pack(state, period), float(period))
+    solve = make_corrector(residual, linearise, family, u.size - 1, family.weights(1.0), 1e-9)
+    found = solve(u, np.append(np.zeros(u.size - 1), 1.0))
+    if found is None or not found.extra.sound:
+        return False
+    return bool(np.min(np.abs(found.extra.multipliers - 1.0)) < _ONE)
 
 
 def _missing(model: Any, kind: str, reason: str = "") -> str:

@@ -18,6 +18,10 @@ same holds for other cells, whose m variables are all unknown; z replaces their 
 
 An orbit with x_motion[n](t + T / k) = x_n(t), a `shift`, returns after T / k already, moved.
 
+Without damping an orbit is one of a family, and its return determines one number less: energy is
+conserved, so that if all else returns, the greatest velocity does.  Its gap gives way to an
+equation for the period, which is the parameter of the family.
+
 A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N
 variables are the only unknowns, and their return gives the only equations.
 """
@@ -44,6 +48,10 @@ from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .floquet import is_trusted, orbit_multipliers
 from .variational import Period, Shift, flow, linearised_period
+
+
+# The greatest gap of the greatest velocity, over itself, of a family of cycles.
+_RETURNS = 1e-6
 
 
 class CycleLinearisation(eqx.Module):
@@ -83,7 +91,7 @@ class Shooting(eqx.Module):
       index of the mass that moves like mass n, `images[i] = i` for those solved for.  None: no
       symmetry.
     - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, a tuple of
-      several, or None.
+      several, or None; "period" for a family of orbits, see `is_family`.
     - `m`: the number of variables of a cell.
     - `forcing_periods`: the number of periods of the force in the orbit's; None without forcing.
     - `shift`: (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), or None.
@@ -140,9 +148,14 @@ class Shooting(eqx.Module):
         """The number of unknowns."""
         return self._starts[-1] + (self.forcing_periods is None)
 
+    @property
+    def is_family(self) -> bool:
+        """Whether its orbit is one of a family over its period, as without damping."""
+        return self.parameter == "period" and not self.field.has_parameter("period")
+
     def at(self, *parameter: Any) -> AbstractModel:
         """The field with the parameter, or several, set."""
-        if self.parameter is None:
+        if self.parameter is None or self.is_family:
             return self.field
         if self.parameter == "belt_speed":  # the usual one, without the checks of a new chain
             return eqx.tree_at(lambda f: f.belt_speed, self.field, *parameter)
@@ -156,6 +169,8 @@ class Shooting(eqx.Module):
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = jnp.arcsinh((parts[contact] - belt) / width)
+        elif self.is_family:
+            parts[contact] = jnp.where(self._own, jnp.log(parts[contact]), parts[contact])
         rows = [self.others, *[self.solved] * (self.m - 1)]
         numbers = [part[jnp.asarray(row, int)] for part, row in zip(parts, rows, strict=True)]
         if self.forcing_periods is None:
@@ -179,6 +194,8 @@ class Shooting(eqx.Module):
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = belt + width * jnp.sinh(parts[contact])
+        elif self.is_family:
+            parts[contact] = jnp.where(self._own, jnp.exp(parts[contact]), parts[contact])
         if not self.balanced:
             return field, tuple(parts), period
         field = cast(AbstractOscillators, field)
@@ -241,6 +258,8 @@ class Shooting(eqx.Module):
         f = None if self.forcing_periods else jnp.concatenate(field(0.0, state))
         floquet = orbit_multipliers(whole.monodromy, f)
         sound = field.can_be_cycle(period, whole.fastest)
+        if self.is_family:
+            sound &= jnp.abs(self.gap(u, whole.end)[self._lost]) < _RETURNS
         extra = CycleLinearisation(
             state,
             period,
@@ -301,7 +320,24 @@ class Shooting(eqx.Module):
             return gaps
         if not self.balanced:
             gaps = jnp.append(gaps, field.second_rate(0.0, state)[self.mass])
-        return gaps / field.value_and_rate(0.0, state)[1][self.mass]
+        gaps = gaps / field.value_and_rate(0.0, state)[1][self.mass]
+        if self.is_family and parameter:
+            gaps = gaps.at[self._lost].set(u[-1] - jnp.log(parameter[0]))
+        return gaps
+
+    @property
+    def _own(self) -> np.ndarray:
+        """The masses whose unknown is the logarithm of the greatest velocity, for a family.
+
+        So it ends at a small amplitude, and does not go on into its mirror image.
+        """
+        return np.array(self.images) == self.images[self.mass]
+
+    @property
+    def _lost(self) -> int:
+        """The index in `gap` of that of the greatest velocity."""
+        contact = min(self.field.contact, self.m - 1)
+        return contact * len(self.solved) + self.solved.index(self.mass)
 
 
 def residual(u: Float[Array, " m"], parameter: Any, orbit: Any) -> Float[Array, " m"]:
