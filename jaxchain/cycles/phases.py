@@ -79,7 +79,7 @@ class CycleProperties(NamedTuple):
       whose margins are negative is that of the motion.
     - `rho`: -V_+ / V_- of a slip cycle that grazes, see `boundaries/grazing.py`; else NaN.
     - `multipliers`: all but the trivial one, the greatest modulus first; `error`: the estimated
-      error of the integration.
+      error of the integration; `amplitude`: half peak-to-peak of each displacement.
     """
 
     state: State
@@ -91,6 +91,7 @@ class CycleProperties(NamedTuple):
     rho: Float[Array, ""]
     multipliers: Complex[Array, " others"]
     error: Float[Array, ""]
+    amplitude: Float[Array, " n"]
 
 
 class Phases(eqx.Module):
@@ -124,7 +125,7 @@ class Phases(eqx.Module):
 
     at = Shooting.at
     # A cycle keeps no symmetry by its equations; its phases are of order 8, to rounding.
-    shift = None
+    shift, is_family = None, False
     solver = EventDriven()
     rtol = 1e-13
 
@@ -213,30 +214,40 @@ class Phases(eqx.Module):
                 w, r = contact(z)
                 return jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
 
+            def motion_of(z: Array, slope: Array) -> tuple[Array, Array, Array]:
+                """Displacements, velocities, accelerations of the first variable of each cell."""
+                v = 1 + self.m // 2 * self.n
+                return z[1 : self.n + 1], z[v : v + self.n], slope[v : v + self.n]
+
             def time(k: Any) -> Array:
                 return duration / (2 * jnp.pi) * graded(k * (2 * jnp.pi / self.steps))
 
             def step(k: Array, carry: Any) -> Any:
-                z, slope, highest, error = carry
+                z, slope, extent, highest, error = carry
                 h = time(k + 1) - time(k)
                 end, missed = step_of_order_8(rate, z, slope, h)
                 new = rate(end)
+                turned = turning_point(*motion_of(z, slope), *motion_of(end, new), h)
+                extent = jnp.stack(
+                    [jnp.minimum(extent[0], turned), jnp.maximum(extent[1], turned)]
+                )
                 sides, width = lax.stop_gradient((((z, slope), (end, new)), h))
                 (low, up), (high, down) = (jax.jvp(near, (p,), (s,)) for p, s in sides)
                 inside = (up > 0) & (down < 0)
                 inside &= ~((k == 0) & first) & ~((k == self.steps - 1) & last)
                 top = jnp.where(inside, peak(low, high, width * up, width * down), -1.0)
                 error += lax.stop_gradient(jnp.max(jnp.abs(missed)))
-                return end, new, jnp.maximum(highest, top), error
+                return end, new, extent, jnp.maximum(highest, top), error
 
-            start = z, rate(z), jnp.full(self.n, -1.0), jnp.zeros(())
-            z, slope, highest, error = lax.fori_loop(0, self.steps, step, start)
+            extent = jnp.stack([z[1 : self.n + 1]] * 2)
+            start = z, rate(z), extent, jnp.full(self.n, -1.0), jnp.zeros(())
+            z, slope, extent, highest, error = lax.fori_loop(0, self.steps, step, start)
             (w, r), (slowing, rising) = jax.jvp(contact, (z,), (slope,))
-            return z, (jnp.stack([w, slowing, r, rising]), highest, error)
+            return z, (jnp.stack([w, slowing, r, rising]), extent, highest, error)
 
         start = jnp.concatenate([begin[None], *state])
         ended = self._events_at_ends()
-        z, (values, highest, errors) = lax.scan(
+        z, (values, extents, highest, errors) = lax.scan(
             phase, start, (modes, durations, jnp.roll(ended, 1, axis=0), ended)
         )
         events, every = jnp.asarray(self.events), jnp.arange(len(self.events))
@@ -255,7 +266,8 @@ class Phases(eqx.Module):
             own = value(k, event, events[k, 1], sign)
             gaps.append(jnp.where(kind == KINDS.index("two events"), durations[k], own)[None])
         margins = self._margins(values, highest, durations, limit)
-        return jnp.concatenate(gaps), (margins, jnp.sum(errors))
+        amplitude = (jnp.max(extents[:, 1], axis=0) - jnp.min(extents[:, 0], axis=0)) / 2
+        return jnp.concatenate(gaps), (margins, jnp.sum(errors), amplitude)
 
     def _events_at_ends(self) -> Bool[Array, "phases n"]:
         """Which masses have an event at the end of each phase, also with others at one time.
@@ -299,7 +311,7 @@ class Phases(eqx.Module):
             gaps, seen = self.run(z[: u.size], *z[u.size :])
             return gaps, (gaps, seen)
 
-        slopes, (gaps, (margins, error)) = jax.jacfwd(both, has_aux=True)(z)
+        slopes, (gaps, (margins, error, amplitude)) = jax.jacfwd(both, has_aux=True)(z)
         field, state, period = self.unpack(u, *parameter)
         j = field.contact * self.n + self.mass
         rho = jnp.nan * period
@@ -314,7 +326,7 @@ class Phases(eqx.Module):
         speed = jnp.abs(u[j]) if self.slips else jnp.inf * period
         below = jnp.sign(field.belt_speed) * (field.belt_speed - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
-        rest = self._multipliers(u, slopes), error
+        rest = self._multipliers(u, slopes), error, amplitude
         properties = CycleProperties(state, period, speed, below, sound, margins, rho, *rest)
         return gaps, slopes, properties
 
@@ -348,6 +360,31 @@ def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
     t = jnp.where(sound, -slope0 / jnp.where(sound, b - root, 1.0), 0.0)
     t = jnp.clip(t, 0.0, 1.0)
     return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
+
+
+def turning_point(
+    x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, h: Array
+) -> Array:
+    """x where v is 0 between two points at a distance h, or x1; by the polynomial of degree 5."""
+    c = [x0, h * v0, h**2 * a0 / 2]
+    value, slope, bend = x1 - sum(c), h * v1 - c[1] - 2 * c[2], h**2 * a1 - 2 * c[2]
+    c += [10 * value - 4 * slope + bend / 2, -15 * value + 7 * slope - bend]
+    c += [6 * value - 3 * slope + bend / 2]
+    rates = [k * a for k, a in enumerate(c)][1:]
+    bends = [k * a for k, a in enumerate(rates)][1:]
+
+    def at(coefficients: list[Array], share: Array) -> Array:
+        total = jnp.zeros_like(x0)
+        for a in reversed(coefficients):
+            total = total * share + a
+        return total
+
+    inside = v0 * v1 < 0
+    share = jnp.where(inside, v0 / jnp.where(inside, v0 - v1, 1.0), 0.0)
+    for _ in range(3):
+        bend = at(bends, share)
+        share = jnp.clip(share - at(rates, share) / jnp.where(bend == 0, jnp.inf, bend), 0.0, 1.0)
+    return jnp.where(inside, at(c, share), x1)
 
 
 class Cuts(AbstractSection):

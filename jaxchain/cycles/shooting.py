@@ -49,7 +49,6 @@ from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .floquet import is_trusted, orbit_multipliers
 from .variational import Period, Shift, flow, linearised_period
 
-
 # The greatest gap of the greatest velocity, over itself, of a family of cycles.
 _RETURNS = 1e-6
 

@@ -42,6 +42,6 @@ def test_a_damped_or_forced_cycle_is_no_family():
         find_limit_cycle(cells, (state, 4.8))
     with pytest.raises(RuntimeError, match="No point of the branch"):
         continue_cycle(cells, state, 4.8, parameter="period")
-    forced = cells.with_(force=1.0, frequency=1.0)
+    forced = MechanicalCells(1.0, force=1.0, frequency=1.0)
     with pytest.raises(ValueError, match="this model is forced"):
         continue_cycle(forced, state, 2 * np.pi, parameter="period")
