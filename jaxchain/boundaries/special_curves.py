@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import equinox as eqx
@@ -69,10 +70,7 @@ from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
 from ..model.provenance import environment, parameters_of
-from ..observers.amplitude import Amplitude
 from ..result import Outcome, Printed, SearchResult
-from ..simulation.event_driven import EventDriven
-from ..simulation.run import simulate
 from .equilibria import HopfPoint, HopfSystem, Rates, find_hopf_point, lyapunov_coefficient
 from .grazing import Grazing
 
@@ -113,6 +111,8 @@ class _CycleEquations(eqx.Module):
     kind: str = eqx.field(static=True)
     # What remains of a symmetry that breaks; None: none breaks.
     kept: Symmetry | None = eqx.field(static=True, default=None)
+    # A user's own test of a cycle, or None.
+    event: Callable[[Any], Any] | None = eqx.field(static=True, default=None)
 
     @property
     def dry(self) -> bool:
@@ -122,7 +122,7 @@ class _CycleEquations(eqx.Module):
     @property
     def smooth(self) -> bool:
         """Whether g is that of the smooth kinds, and no event."""
-        return not self.dry or self.kind == "fold"
+        return (not self.dry or self.kind == "fold") and self.event is None
 
     def beyond(self, ended: str, U: np.ndarray) -> _CycleEquations | None:
         """The equations of the next piece, if the curve goes on where this one has ended."""
@@ -134,7 +134,7 @@ class _CycleEquations(eqx.Module):
         u, _, _ = self.split(jnp.asarray(U))
         durations = np.where(self.shooting.apart, u[-len(self.shooting.events) :], np.inf)
         shooting = self.shooting.swapped(int(np.argmin(durations)))
-        return shooting and _CycleEquations(shooting, self.kind)
+        return shooting and replace(self, shooting=shooting)
 
     @property
     def _extra(self) -> int:
@@ -225,9 +225,14 @@ class _CycleEquations(eqx.Module):
                 name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
                 for i, name in enumerate(_OTHER_EVENTS)
             }
+            own = self.shooting.slips and self.shooting.special is None
+            if own and self.kind != "fold":
+                tests[_OTHER_EVENTS[0]] = lambda u, p, tangent, extra: min(
+                    -float(extra.margins[0]), float(extra.below)
+                )
             if self.shooting.slips and self.kind == "fold":
                 tests["degenerate grazing"] = lambda u, p, tangent, extra: float(extra.below)
-            elif self.shooting.slips:
+            elif self.shooting.slips and self.shooting.special is not None:
                 # A grazing is a fold for rho > 1; each test jumps where the other is zero.
                 def share(rho: Any, power: int) -> float:
                     x = float(rho) - 1.0
@@ -272,18 +277,30 @@ class _CycleEquations(eqx.Module):
         """R, with derivatives, in every parameter of the model as well."""
         u, parameters, _ = self.split(U)
         gaps = self.shooting.residual(u, *parameters)
+        if self.event is not None:
+            return jnp.append(gaps, self.event(self.shooting.seen(u, *parameters)))
         return jnp.append(gaps, _test(U, self)) if self.smooth else gaps
 
     def linearise(self, U: Array) -> tuple[Array, Array, Any]:
         """(R, its derivatives, further results)."""
         if not self.smooth:
             u, parameters, _ = self.split(U)
-            return self.shooting.cycle(u, *parameters)
+            r, slopes, extra = self.shooting.cycle(u, *parameters)
+            if self.event is not None:
+                of = partial(_event, equations=self)
+                g, row = of(U), jax.jacfwd(of)(U)
+                r, slopes = jnp.append(r, g), jnp.concatenate([slopes, row[None]])
+            return r, slopes, extra
         r, slopes, extra, left, right = self.values(U)
         m, k = self.shooting.size, self._extra
         top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
         last = jax.jacfwd(self.with_fixed_vectors)(U, left, right)
         return r, jnp.concatenate([jnp.concatenate(top, axis=1), last]), extra
+
+
+def _event(U: Array, equations: _CycleEquations) -> Array:
+    u, parameters, _ = equations.split(U)
+    return jnp.asarray(cast(Any, equations.event)(equations.shooting.seen(u, *parameters)))
 
 
 @eqx.filter_custom_jvp
@@ -403,9 +420,7 @@ class _HopfEquations(eqx.Module):
 @eqx.filter_jit
 def _dry_cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
     u, parameters, _ = equations.split(U)
-    field, state, period = equations.shooting.unpack(u, *parameters)
-    run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
-    return state, period, run.observed
+    return tuple(equations.shooting.seen(u, *parameters))
 
 
 def _residual(U: Array, q: Any, equations: Any) -> Array:
@@ -598,13 +613,16 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
         shooting, u = slip_phases(chain, point.state, point.period, point.mass, touches)
         equations = _CycleEquations(shooting, "grazing fold" if touches else "fold")
         return equations, "belt_speed", jnp.append(u, point.belt_speed)
-    if point.kind.removesuffix(" fold") not in (*_KINDS, *DRY_KINDS):
+    own = isinstance(point, SpecialCycle) or point.event is not None
+    if not own and point.kind.removesuffix(" fold") not in (*_KINDS, *DRY_KINDS):
         raise ValueError(
             f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
             f'"{point.kind}". {remedy}'
         )
     if isinstance(point, SpecialCycle):
         return point.equations, point.parameter, point.unknowns
+    if point.event is not None:
+        return _of_event(point)
     if isinstance(point.shooting, Phases):
         return _of_sequence(point, point.shooting)
     pairs = point.multipliers[point.multipliers.imag > 0]
@@ -618,6 +636,22 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
             kept = symmetry.images, symmetry.shift
     equations = _CycleEquations(point.shooting, point.kind, kept)
     return equations, str(point.shooting.parameter), U
+
+
+def _of_event(point: CyclePoint) -> tuple[_CycleEquations, str, Array]:
+    """The same of a user's own event."""
+    U = jnp.append(jnp.asarray(point.raw.u), point.parameter)
+    name = str(point.shooting.parameter)
+    shooting = replace(point.shooting, parameter=(name,))
+    equations = _CycleEquations(shooting, point.kind, event=point.event)
+    try:
+        eqx.filter_eval_shape(_event, U, equations)
+    except AttributeError as error:
+        raise ValueError(
+            f'Argument `point` is the event "{point.kind}", whose function uses more of a cycle '
+            f"than `state`, `period` and `amplitude`, which are followed: {error}"
+        ) from error
+    return replace(equations, shooting=point.shooting), name, U
 
 
 def _of_sequence(point: CyclePoint, phases: Phases) -> tuple[_CycleEquations, str, Array]:
@@ -869,7 +903,8 @@ def continue_special(
     **Arguments:**
 
     - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
-      `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
+      `continue_cycle(...).special`, with dry friction a fold or a change of the sequence, or a
+      zero of one of its `events`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
       dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first parameter.
     - `second`: the name of the second parameter, one for all cells.
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
 import equinox as eqx
@@ -21,6 +22,7 @@ from scipy.interpolate import BarycentricInterpolator
 
 from .._checks import (
     check_concrete,
+    check_function,
     check_kind,
     check_one_of,
     check_whole,
@@ -114,7 +116,8 @@ class CyclePoint(Printed):
     of `parameter`, from the search and from the integration, which uses a tight tolerance; `raw`:
     the point of the equations, `shooting`; `scaled_peak_velocity` as in `CycleBranch`;
     `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along which other
-    branches leave, one of each class of conjugate ones.
+    branches leave, one of each class of conjugate ones.  A zero of one of `events` has its name as
+    `kind`, and the function as `event`.
 
     See `continue_cycle` for an example.
     """
@@ -131,6 +134,7 @@ class CyclePoint(Printed):
     shooting: Shooting | Phases
     scaled_peak_velocity: float
     symmetries: tuple[CycleSymmetry, ...] = ()
+    event: Callable[[Any], Any] | None = None
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
@@ -717,6 +721,7 @@ def continue_cycle(
     min_step: Given[ScalarLike] = 1e-6,
     max_step: Given[ScalarLike] = 0.3,
     max_points: Given[int] = 300,
+    events: Mapping[str, Callable[[Any], Any]] | None = None,
     stop: Callable[[float, Any], Any] | None = None,
     progress: Callable[[int, Point], Any] | None = None,
     rtol: Given[ScalarLike] = RTOL,
@@ -753,6 +758,9 @@ def continue_cycle(
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`, `keep_part` (after
       Ctrl-C): see `continue_branch`; lengths are (mean of x^2 and z^2 of the others + z_j^2 +
       ln^2 T + p^2)^(1/2).
+    - `events`: name -> function of a cycle, a number whose zeros are special points with this name:
+      `{"one": lambda cycle: cycle.amplitude[0] - 1.0}`.  A cycle has `state`, `period`,
+      `amplitude` and `multipliers`; `continue_special` follows what does not depend on the last.
     - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf
       point, where the amplitude vanishes.
     - `rtol`: tolerance of the integration; of dry cycles only that of states and amplitudes, whose
@@ -778,6 +786,7 @@ def continue_cycle(
         [('grazing fold', 1.836601), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
+    events = _checked_events(events)
     if state is None and period is None and mass is None:
         mass = getattr(model, "mass", None)
     field, state, period = as_orbit(model, state, period)
@@ -810,7 +819,7 @@ def continue_cycle(
                 "`find_limit_cycle`, or begin at another value of the parameter."
             )
         begin = begin._replace(direction=_sign(direction) * begin.direction)
-        return _follow_dry(begin, mass, rtol, bounds, stop, options)
+        return _follow_dry(begin, mass, rtol, bounds, stop, options, events)
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
     images, shift = as_symmetry(images, field, state, mass)
     forcing_periods = forcing_periods_of(field, period)
@@ -823,7 +832,28 @@ def continue_cycle(
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
         heading[shooting.z_index] = 1.0 if direction == "stick" else -1.0
-    return _follow(shooting, u, p, heading, bounds, stop, options)
+    return _follow(shooting, u, p, heading, bounds, stop, options, events)
+
+
+def _checked_events(events: Any) -> Mapping[str, Callable[[Any], Any]]:
+    events = {} if events is None else events
+    check_kind("events", events, Mapping, "a dict of functions")
+    taken = ("fold", "branch point", "hopf", "torus", "period doubling", _BREAKING, *KINDS)
+    for name, event in events.items():
+        check_function(f"events[{name!r}]", event, "a cycle -> a number", 1)
+        if not isinstance(name, str) or name.removesuffix(" fold") in taken:
+            raise ValueError(
+                f"Argument `events` must have names of its own, but has {shown(name)}: these are "
+                f"kinds of special points, {', '.join(taken)}."
+            )
+    return events
+
+
+def _tests_of(events: Mapping[str, Callable[[Any], Any]]) -> dict[str, Test]:
+    return {
+        name: lambda u, p, tangent, extra, event=event: float(event(extra))
+        for name, event in events.items()
+    }
 
 
 def switch_cycle(
@@ -905,10 +935,12 @@ def _follow(
     bounds: tuple[Any, Any] | None,
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
+    events: Mapping[str, Callable[[Any], Any]] = MappingProxyType({}),
 ) -> CycleBranch:
     less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
-    weights, tests = shooting.weights(p), special_tests(shooting, motions)
+    weights = shooting.weights(p)
+    tests = special_tests(shooting, motions) | _tests_of(events)
     first, forced = None, shooting.forcing_periods is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
@@ -952,7 +984,7 @@ def _follow(
         times = extra.times_round[0]
         once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
         p = float(branch.p[0]) / (times if shooting.is_family else 1)
-        return _follow(shooting, once, p, heading, bounds, stop, options)
+        return _follow(shooting, once, p, heading, bounds, stop, options, events)
     refine = refined(shooting, weights, options["tolerance"], tests)
     hopf = {point.index for point in branch.special if point.kind == "hopf"}
     special = []
@@ -960,7 +992,8 @@ def _follow(
         # At zero amplitude the branch continues smoothly in its mirror image, which is not a fold.
         if raw.kind in ("fold", "branch point") and raw.index in hopf:
             continue
-        if raw.kind in tests and raw.kind != "hopf" and hardly_felt(branch, raw, tests[raw.kind]):
+        of_multipliers = raw.kind in tests and raw.kind not in ("hopf", *events)
+        if of_multipliers and hardly_felt(branch, raw, tests[raw.kind]):
             continue
         point = refine(raw) if raw.refined or raw.kind == "hopf" else raw
         if raw.kind != "torus" or on_the_circle(point.extra):
@@ -974,7 +1007,9 @@ def _follow(
                 if any(other.kind == kind and _same_point(other, point) for other in special):
                     continue  # it was seen in other disturbances, too
             peak = float(_scaled_peak_velocity(shooting, point.u[None])[0])
-            special.append(CyclePoint(kind, point.p, *orbit, *how, peak, subgroups))
+            special.append(
+                CyclePoint(kind, point.p, *orbit, *how, peak, subgroups, events.get(kind))
+            )
     # The last point may be its own mirror image, or no cycle.
     if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
         k -= 1
@@ -1012,6 +1047,7 @@ def _follow_dry(
     bounds: tuple[Any, Any] | None,
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
+    events: Mapping[str, Callable[[Any], Any]] = MappingProxyType({}),
 ) -> CycleBranch:
     """A branch of dry cycles, piece by piece, see `cycles/sequences.py`."""
     pieces: list[tuple[Phases, Branch]] = []
@@ -1021,7 +1057,7 @@ def _follow_dry(
     while start is not None and room > 0:
         most = None if np.isinf(room) else int(room)
         try:
-            branch, met = _dry_piece(start, limits, stop, options | {"max_points": most})
+            branch, met = _dry_piece(start, limits, stop, events, options | {"max_points": most})
             before, orbit = sum(piece.p.size for _, piece in pieces), start.orbit
             room -= branch.p.size
             found = [
@@ -1053,13 +1089,14 @@ def _follow_dry(
                 raise
             pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended="interrupted")
             break
-    return _dry_branch(pieces, points, mass, rtol)
+    return _dry_branch(pieces, points, mass, rtol, events)
 
 
 def _dry_piece(
     start: Start,
     bounds: tuple[Any, Any],
     stop: Callable[[float, Any], Any] | None,
+    events: Mapping[str, Callable[[Any], Any]],
     options: dict[str, Any],
 ) -> tuple[Branch, SpecialPoint | None]:
     """(the branch of one sequence, the special point at which it ends, if it does)."""
@@ -1074,7 +1111,7 @@ def _dry_piece(
 
     branch = continue_branch(
         residual, start.u, start.p, start.orbit, direction=start.direction, bounds=bounds,
-        weights=start.orbit.weights(start.p), tests=tests, stop=ends,
+        weights=start.orbit.weights(start.p), tests=tests | _tests_of(events), stop=ends,
         value_and_jacobian=linearise, **options,
     )  # fmt: skip
     if not branch.p.size:
@@ -1095,6 +1132,7 @@ def _dry_branch(
     points: list[tuple[str, Phases, SpecialPoint]],
     mass: int,
     rtol: Any,
+    events: Mapping[str, Callable[[Any], Any]],
 ) -> CycleBranch:
     rows = [
         (orbit, u, p) for orbit, branch in pieces for u, p in zip(branch.u, branch.p, strict=True)
@@ -1106,7 +1144,7 @@ def _dry_branch(
         CyclePoint(
             kind, raw.p, tuple(part[i] for part in state), float(period[i]), amplitude[i],
             raw.extra.multipliers, raw.refined, raw.error + float(raw.extra.error), raw, orbit,
-            float(peak[i]),
+            float(peak[i]), event=events.get(kind),
         )
         for i, (kind, orbit, raw) in enumerate(points, k)
     )  # fmt: skip

@@ -50,7 +50,7 @@ from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion, r
 from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
 from .floquet import forcing_periods_of, multiplier_resolution
-from .shooting import Shooting
+from .shooting import SeenCycle, Shooting
 from .variational import ExtremesAndTrace
 
 # In the order of `CycleProperties.margins`.
@@ -296,6 +296,11 @@ class Phases(eqx.Module):
             jnp.max(apart),
         ]
         return lax.stop_gradient(jnp.stack(margins))
+
+    def seen(self, u: Float[Array, " m"], *parameters: Any) -> SeenCycle:
+        """The cycle, with derivatives."""
+        _, state, period = self.unpack(u, *parameters)
+        return SeenCycle(state, period, self.run(u, *parameters)[1][2])
 
     def weights(self, p: float) -> np.ndarray:
         """Of the norm of steps."""

@@ -79,6 +79,14 @@ class CycleLinearisation(eqx.Module):
     sound: Bool[Array, ""]
 
 
+class SeenCycle(NamedTuple):
+    """What a user's own event may depend on, to be followed in two parameters."""
+
+    state: State
+    period: Float[Array, ""]
+    amplitude: Float[Array, " n"]
+
+
 class Shooting(eqx.Module):
     """The equations of a periodic orbit of `field`, cut at the greatest velocity of one mass.
 
@@ -272,6 +280,13 @@ class Shooting(eqx.Module):
             sound & is_trusted(floquet.multipliers, floquet.defect),
         )
         return r, jacobian, extra
+
+    def seen(self, u: Float[Array, " m"], *parameters: Any) -> SeenCycle:
+        """The cycle, with derivatives."""
+        field, state, period = self.unpack(u, *parameters)
+        numerics = {"rtol": self.rtol, "solver": self.solver}
+        _, _, (amplitude,) = flow(field, state, period, observers=[Amplitude()], **numerics)
+        return SeenCycle(state, period, amplitude)
 
     def weights(self, p: float) -> np.ndarray:
         """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
