@@ -758,7 +758,7 @@ def continue_cycle(
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`, `keep_part` (after
       Ctrl-C): see `continue_branch`; lengths are (mean of x^2 and z^2 of the others + z_j^2 +
       ln^2 T + p^2)^(1/2).
-    - `events`: name -> function of a cycle, a number whose zeros are special points with this name:
+    - `events`: name -> function of a cycle, a number whose zeros are special points of this name:
       `{"one": lambda cycle: cycle.amplitude[0] - 1.0}`.  A cycle has `state`, `period`,
       `amplitude` and `multipliers`; `continue_special` follows what does not depend on the last.
     - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf

@@ -137,6 +137,34 @@ def test_special_points_of_dry_branches_are_followed_and_differentiated(one_mass
     assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
 
 
+@pytest.mark.parametrize("width", [None, pytest.param(0.01, marks=pytest.mark.long)])
+def test_an_event_of_ones_own_is_found_followed_and_differentiated(width):
+    chain = paper_chain(1, belt_speed=1.2, width=width)
+    cycle = find_limit_cycle(chain)
+    own = {"high": lambda c: c.amplitude[0] - 1.5, "fast": lambda c: c.multipliers[0].real - 1.8}
+    branch = continue_cycle(cycle, events=own)
+    high, fast = branch.of_kind("high"), branch.of_kind("fast")
+    assert len(high) == 2  # as it sticks, and as it slides
+    for point in high:
+        np.testing.assert_allclose(point.amplitude, 1.5, atol=1e-9)
+        assert point.refined
+        assert point.error < 1e-8
+    assert all(abs(point.multipliers[0] - 1.8) < 1e-6 for point in fast)
+    curve = continue_special(high[0], "damping_ratio", max_points=4)
+    np.testing.assert_allclose(curve.amplitude[:, 0], 1.5, atol=1e-9)
+
+    def speed(damping):
+        return find_special_cycle(high[0], chain.with_(damping_ratio=damping)).value
+
+    slope = jax.grad(speed)(jnp.asarray(0.05))
+    near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
+    assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
+    with pytest.raises(ValueError, match="uses more of a cycle than `state`, `period`"):
+        continue_special(fast[0], "damping_ratio")
+    with pytest.raises(ValueError, match="must have names of its own"):
+        continue_cycle(cycle, events={"fold": own["high"]})
+
+
 def test_a_cell_of_two_displacements_is_scipys_along_its_branch():
     start = simulate(TWO, tuple(jnp.zeros((4, 1))), 400.0)
     branch = continue_cycle(find_limit_cycle(TWO, start), bounds=(0.3, 2.0))
