@@ -463,9 +463,7 @@ def dry_cycles(
 
 
 @eqx.filter_jit
-def _dry_cycles(
-    runs: DryRun, name: str, m: int, y: Array, t0: Array, period: Array, p: Array
-) -> Any:
+def _dry_cycles(runs: DryRun, name: Any, m: int, y: Any, t0: Any, period: Any, p: Any) -> Any:
     def one(y: Array, t0: Array, period: Array, p: Array) -> Any:
         own = replace(runs, field=runs.field.with_(**{name: p}))
         state, _, seen = own.from_the_cut(tuple(jnp.split(y, m)), period, t0)
@@ -801,7 +799,7 @@ def continue_cycle(
             f"this model {'has dry friction' if field.dry else 'is forced'}: name a parameter of "
             "the model."
         )
-    p = float(period if family else as_parameter(field, parameter))
+    p = float(to_float(period) if family else as_parameter(field, parameter))
     options = {
         "step": step,
         "min_step": min_step,

@@ -36,7 +36,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
@@ -111,12 +111,12 @@ class Phases(eqx.Module):
     """
 
     field: Any
-    modes: Int[ArrayLike, "phases n"]
-    events: Int[ArrayLike, "phases 3"]
-    special: Int[ArrayLike, " 3"] | None
-    apart: Bool[ArrayLike, " phases"]
-    onsets: Int[ArrayLike, " phases"]
-    alike: Bool[ArrayLike, " n"]
+    modes: Int[Array | np.ndarray, "phases n"]
+    events: Int[Array | np.ndarray, "phases 3"]
+    special: Int[Array | np.ndarray, " 3"] | None
+    apart: Bool[Array | np.ndarray, " phases"]
+    onsets: Int[Array | np.ndarray, " phases"]
+    alike: Bool[Array | np.ndarray, " n"]
     m: int = eqx.field(static=True)
     slips: bool = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=_STEPS)
@@ -277,7 +277,7 @@ class Phases(eqx.Module):
         events, apart = jnp.asarray(self.events), jnp.asarray(self.apart)
         group = jnp.cumsum(apart)
         group = jnp.where(group == 0, group[-1], group)
-        touch = jnp.outer(events[:, 0] % 2, self.alike) > 0
+        touch = jnp.outer(events[:, 0] % 2, jnp.asarray(self.alike)) > 0
         own = (events[:, 1][:, None] == jnp.arange(self.n)[None]) | touch
         together = group[:, None] == group[None]
         return together.astype(int) @ own.astype(int) > 0
@@ -455,7 +455,7 @@ class DryRun(eqx.Module):
         elif t0 is not None:
             forced = to_float(self.field.forcing_period())
             times.insert(0, (t0, jnp.ceil(t0 / forced) * forced - t0))
-        given = tuple(jnp.stack(column) for column in zip(*times, strict=True))
+        given = jnp.stack([time for time, _ in times]), jnp.stack([time for _, time in times])
         _, seen = lax.scan(once_round, state, given)
         return jax.tree.map(lambda leaf: leaf[-1], seen)
 
@@ -525,7 +525,7 @@ def phases_of(
         )
         if kind != "stick onset":
             events = sorted([*events, special])
-        special = kind and special
+        special = None if kind is None else special
     # The cycle begins after the event that the longest phase follows.
     ks = np.array([event.k for event in events])
     lengths = (np.roll(ks, -1) - ks) % _SAMPLES if len(ks) > 1 else np.array([_SAMPLES])
@@ -543,12 +543,12 @@ def phases_of(
         a, b = (np.roll(w[:, e.mass], -e.k) for e in (event, one))
         return bool(min(np.max(np.abs(a - b)), np.max(np.abs(a + b))) < 1e-2 * np.ptp(a))
 
-    onsets, alike = [0] * len(events), []
+    onsets, alike = [0] * len(events), ()
     for k, event in enumerate(events):
         if event.event == "landing" and not (special and is_alike(event, special)):
             onsets[k] = -1 if modes[event.k, event.mass] == STICK else 1
-    for i in range(w.shape[1] if special else 0):
-        alike += [i] if is_alike(special._replace(mass=i), special) else []
+    if special is not None:
+        alike = [i for i in range(w.shape[1]) if is_alike(special._replace(mass=i), special)]
     durations = lengths * (float(period) / _SAMPLES)
     u = np.concatenate([*(part[begin] for part in samples), durations])
     if chain.forcing_period() is not None:

@@ -99,9 +99,9 @@ class _Along(NamedTuple):
     event, which is at 0, as in `Phases.run`; `force` (steps + 1, n): r.
     """
 
-    states: Float[np.ndarray, "parts more columns"]
-    near: Float[np.ndarray, "parts more n"]
-    force: Float[np.ndarray, "parts more n"]
+    states: Any
+    near: Any
+    force: Any
 
 
 @eqx.filter_jit
@@ -222,7 +222,7 @@ def tests_of(orbit: Phases) -> dict[str, Callable[..., float]]:
         )
         if orbit.forcing_periods is None:
             j, sign = orbit.field.contact * orbit.n + orbit.mass, orbit.modes[0][orbit.mass]
-            of["hopf"] = lambda u, p, tangent, extra: vanishing(sign * float(u[j]))
+            of["hopf"] = lambda u, p, tangent, extra: vanishing(float(sign * u[j]))
     return of
 
 

@@ -224,4 +224,4 @@ def test_a_dry_branch_is_a_dataset_and_a_picture(one_mass):
     assert data.attrs["ended"] == "stopped"
     axes = plot_branch(data)
     assert len(axes.lines) >= 2
-    plt.close(axes.figure)
+    plt.close("all")
