@@ -28,11 +28,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 from scipy.optimize import root_scalar
 
-from .._checks import (
-    check_concrete,
-    check_finite,
-    check_pair,
-)
+from .._checks import check_concrete, check_finite, check_pair
 from .._final import final
 from .._types import ArrayLike, Given
 from ..continuation.damped_newton import linearised, solve
@@ -61,6 +57,10 @@ def _numbers(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """(l1, l1 over the sizes of its terms, growth slope, that of dry friction, d(A^2) / d|v_d|).
 
+    - `u`, and `left`, the left null vector of K - omega^2 + i omega D: for a simple pair u itself,
+      because that matrix is symmetric; for a wave that travels around a homogeneous ring, one of a
+      pair q, -q, conj u; for a standing wave u, real.  Each of these waves lies in a subspace that
+      is invariant by symmetry, so l1 is that of cycles in it.
     - If a coefficient is exactly zero, the sum of its terms consists of rounding errors.
     - lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
     - A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, A the

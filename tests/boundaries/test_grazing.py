@@ -8,7 +8,8 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, paper_chain
-from jaxchain.boundaries.fold import find_fold, fold_belt_speed
+from jaxchain.boundaries import Grazing
+from jaxchain.boundaries.fold import Fold, find_fold, fold_belt_speed
 from jaxchain.model import GaussianStribeck
 from jaxchain.model.initial_states import check_mass
 from jaxchain.result import SearchResult
@@ -207,9 +208,20 @@ def test_what_it_says_of_smoothed_folds(paper):
         assert abs(paper.smoothed(width) - fold) < width**1.5
 
 
+def test_a_dry_fold_has_what_a_smoothed_one_has(paper, flat_folds):
+    for name in Fold.__dataclass_fields__:
+        assert getattr(paper, name) is not None
+    assert float(paper.scaled_peak_velocity) == float(paper.width) == 0.0
+    np.testing.assert_array_equal(
+        flat_folds.scaled_peak_velocity, np.where(flat_folds.touches, 0.0, -np.inf)
+    )
+    np.testing.assert_array_equal(flat_folds.width, np.zeros(len(FLAT)))
+
+
 def test_nothing_is_found_where_friction_does_not_weaken():
     chain = paper_chain(n=1, width=None).with_(mu_dynamic=1.0)
     grazing = find_fold(chain)
+    assert isinstance(grazing, Grazing)
     assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
     assert jnp.isnan(grazing.smoothed(1e-3))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxchain import find_limit_cycle, paper_chain
-from jaxchain.boundaries import find_fold
+from jaxchain.boundaries import Grazing, find_fold
 from jaxchain.cycles.phases import peak, phases_of, slip_phases
 
 
@@ -29,6 +29,7 @@ def test_the_peak_of_a_cubic():
 def test_a_slip_cycle_that_grazes_solves_the_equations(n):
     chain = paper_chain(n, width=None)
     grazing = find_fold(chain)
+    assert isinstance(grazing, Grazing)
     phases, u = slip_phases(grazing.chain, grazing.state, grazing.period, n // 2, True)
     phases = replace(phases, parameter=("belt_speed",))
     value, _, seen = phases.linearise(u, grazing.belt_speed)
