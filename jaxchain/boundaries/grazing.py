@@ -516,12 +516,12 @@ class Grazing(Outcome):
     mass: int = eqx.field(static=True)
 
     @property
-    def scaled_peak_velocity(self) -> Float[Array, ""]:
+    def scaled_peak_velocity(self) -> Float[Array, "*batch"]:
         """0 if the mass reaches the belt speed, else -inf."""
         return jnp.where(self.touches, 0.0, -jnp.inf)
 
     @property
-    def width(self) -> Float[Array, ""]:
+    def width(self) -> Float[Array, "*batch"]:
         """0, the regularization width of dry friction."""
         return jnp.zeros_like(self.belt_speed)
 
