@@ -174,7 +174,7 @@ def fold_by_descent(
     1.79246
     """
     mass = check_mass(chain, mass)
-    require_smoothed(chain, "use `find_grazing`, or ", "chain")
+    require_smoothed(chain, "use `find_fold`, or ", "chain")
     check_positive_number("tolerance", tolerance, "1e-3 is usual.")
     if start is not None:
         check_number("start", start, "it is max w / eps of a cycle, some -3.")

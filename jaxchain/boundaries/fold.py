@@ -22,22 +22,16 @@ misses a tenth of the folds of random sets of one mass, and takes several times 
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_concrete, check_flag
 from .._final import final
-from .._progress import progress_bar
 from .._types import Given, PerMass, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import where
@@ -47,23 +41,22 @@ from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, usual_peak_velocity
 from ..cycles.shooting import Shooting
 from ..cycles.variational import Sensitivity, flow, forward_sensitivity
-from ..model.arguments import as_chain
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..model.model import AbstractModel
-from ..model.parameters import parameter
 from ..model.sliding import damping_outweighs
-from ..result import SEARCH_NAMES, Outcome, SearchResult, code
+from ..result import Outcome, SearchResult
 from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from ..sweeps.axes import check_axes, jobs, sizes
-from ..sweeps.lanes import with_numbers
-from ..sweeps.programs import map_lanes
-from ..sweeps.sweeping import SweepInterrupted
-from .grazing import GrazingOrbit, Slopes, find_dry_fold, find_grazing, slip_force, without_fold
-
-if TYPE_CHECKING:
-    from xarray import Dataset
+from .grazing import (
+    Grazing,
+    GrazingOrbit,
+    Slopes,
+    find_dry_fold,
+    find_grazing,
+    slip_force,
+    without_fold,
+)
 
 
 @final
@@ -482,16 +475,18 @@ def _towards_fold(
 class Fold(Outcome):
     """A fold of cycles: the greatest belt speed of one branch of vibrations.
 
+    It is the fold of smoothed friction; with dry friction it is a `Grazing`.
+
     - `belt_speed`: v_d, NaN if no fold was found.
     - `period` and `state`: of the cycle there, cut at the greatest velocity of mass `mass`.
     - `scaled_peak_velocity`: s = max w / eps of that mass; if s < 0 the mass never reaches the
-      belt speed. With dry friction it is 0 if the mass reaches that speed, else -inf.  If the slip
-      cycle is very unstable, the belt speed hardly depends on s, which is known to some tenths.
+      belt speed.  If the slip cycle is very unstable, the belt speed hardly depends on s, which is
+      known to some tenths.
     - `residual`: the gap half a period from there, over the amplitude of velocity.
     - `result`: a `SearchResult`: successful; no_fold, which is proved; or the reason of a failure,
       after which a fold may still exist.  `message` is its text.
     - `width`: the regularization width of the computed cycle, that of the chain or a little more:
-      see `fold_belt_speed`; 0 for dry friction.
+      see `fold_belt_speed`.
     - `evaluations`: the number of Jacobians of the closing equations.
 
     See `find_fold` for an example.
@@ -514,19 +509,23 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
 
     This is the fold (saddle-node of cycles) at which the stick-slip cycle of mass `mass` and the
     unstable slip cycle meet, while the other masses slide.  At a greater speed every vibration
-    dies out.  Dry friction uses `dry_fold_belt_speed`.
+    dies out.  For dry friction it is a grazing-sliding fold or, if mu'(0) = 0, a saddle-node of
+    slip cycles: the limit for width 0, computed directly.
 
-    **Arguments:** `chain`; its `belt_speed` is ignored.  `mass`, the index (from 0) of the mass,
-    by default n // 2, oscillator 11 of 20.
+    **Arguments:** `chain`, smoothed or dry; its `belt_speed` is ignored.  `mass`, the index (from
+    0) of the mass, by default n // 2, oscillator 11 of 20.
 
-    **Returns:** the dimensionless v_d, with a relative error of about 1e-9; NaN if there is no
-    fold or none is found (`find_fold` gives the reason).  For widths below 3e-8 of the speed of
-    the problem (v_d, or twice the speed over which friction weakens), the fold is computed at that
-    width and corrected by the asymptotics of `Grazing.smoothed`, with an error below 1e-10 of that
-    speed, or 1e-8 if the slip cycle is very unstable.  The correction enters only the derivative
-    in the width; other derivatives then have an error of about 1e-6.  It works under
-    `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first derivatives: since
-    v_d is stationary along the branch, a cycle with fixed max w / eps has the same.
+    **Returns:** the dimensionless v_d, with a relative error of about 1e-9, for dry friction
+    1e-11; NaN if there is no fold or none is found (`find_fold` gives the reason).  For widths
+    below 3e-8 of the speed of the problem (v_d, or twice the speed over which friction weakens),
+    the fold is computed at that width and corrected by the asymptotics of `Grazing.smoothed`, with
+    an error below 1e-10 of that speed, or 1e-8 if the slip cycle is very unstable.  The correction
+    enters only the derivative in the width; other derivatives then have an error of about 1e-6.
+
+    It works under `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first
+    derivatives: since v_d is stationary along the branch, a cycle with fixed max w / eps has the
+    same.  With dry friction derivatives are of any order.  In a batch of `jax.vmap` all searches
+    take as long as the hardest one; `jax.lax.map` runs one after the other.
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -541,6 +540,8 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
         >>> slope = jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi)))(0.05)
         >>> round(float(slope), 3)  # more damping, less vibration
         -26.456
+        >>> round(float(fold_belt_speed(chain.with_(width=None))), 9)  # dry friction
+        1.836600972
     """
     return fold_speed_and_peak(chain, check_mass(chain, mass))[0]
 
@@ -579,40 +580,35 @@ def fixed_peak_residual(q: Float[Array, " m"], args: tuple[Shooting, Array]) -> 
     return _closure(*unknowns(shooting, jnp.append(q, z)), shooting)
 
 
-def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold:
+def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold | Grazing:
     """The fold of `fold_belt_speed` with its cycle, all of it differentiable.
 
     Arguments, errors and transformations are those of `fold_belt_speed`.  The whole orbit has
     derivatives of any order, at a higher cost, from the bordered system [closure; singularity] =
     0, or for dry friction from the grazing equations.
 
-    **Returns:** a `Fold`.
+    **Returns:** a `Fold`, or a `Grazing` for dry friction, whose `belt_speed` is NaN if another
+    mass reaches the belt speed.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import find_fold
+    >>> from jaxchain import find_fold, paper_chain
     >>> fold = find_fold(paper_chain(n=1, width=1e-2))
     >>> bool(fold.successful), round(float(fold.period), 4)
     (True, 6.3028)
     >>> round(float(fold.scaled_peak_velocity), 3)
     -2.142
+
+    With dry friction, and the effect of a small width on it:
+
+    >>> grazing = find_fold(paper_chain(n=1, width=None))
+    >>> bool(grazing.touches), round(float(grazing.smoothed(1e-3)), 4)
+    (True, 1.8311)
     """
     mass = check_mass(chain, mass)
-    if not chain.dry:
-        return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
-    grazing = find_grazing(chain, mass)
-    return Fold(
-        belt_speed=grazing.belt_speed,
-        period=grazing.period,
-        state=grazing.state,
-        scaled_peak_velocity=jnp.where(grazing.touches, 0.0, -jnp.inf),
-        residual=grazing.residual,
-        result=grazing.result,
-        width=jnp.zeros(()),
-        evaluations=grazing.evaluations,
-        mass=mass,
-    )
+    if chain.dry:
+        return find_grazing(chain, mass)
+    return _fold(chain, mass, *_find(lax.stop_gradient(chain), mass))
 
 
 @eqx.filter_jit
@@ -671,142 +667,3 @@ def _gained(chain: Chain, mass: int, start: FoldGuess) -> Array:
     tiny, slopes = width < start.width, Slopes(*lax.stop_gradient(tuple(start.slopes)))
     gained = slopes.shift(jnp.where(tiny, width, 1.0)) - slopes.shift(start.width)
     return jnp.where(tiny, gained, 0.0)
-
-
-# Sets per call of a device: some 10 ms of work, so the overhead of the host is negligible.
-_AT_ONCE = 8
-
-
-def fold_belt_speeds(
-    chain: Given[Chain],
-    mass: Given[int | None] = None,
-    *,
-    over: Mapping[str, Any],
-    progress: bool = False,
-) -> Dataset:
-    """`fold_belt_speed` for every combination of the values in `over`, on every device.
-
-    Each combination uses the same search as `fold_belt_speed` and gives the same numbers.
-
-    **Arguments:**
-
-    - `chain`, `mass`: as for `fold_belt_speed`.
-    - `over`: as for `sweep`: a mapping from parameters of the chain or of its friction law to
-      values, or from a dimension to a mapping or data frame of parameters that vary together:
-      `{"sample": {"damping_ratio": xi, "v_ref": speeds}}`.
-    - `progress`: show a progress bar.
-
-    **Returns:** an `xarray.Dataset` over the dimensions of `over`: `fold_belt_speed` and `period`
-    of the cycle there, dimensionless, NaN if there is no fold or none was found, and `result`, the
-    outcome of each search as an index into its `flag_meanings`, see `SearchResult`.  The searches
-    are independent.  It cannot be differentiated: for derivatives use `jax.vmap` of
-    `fold_belt_speed`, which takes the time of the hardest set for all.
-
-    It is compiled once for any number of sets and any values.
-
-    **Raises:** `ValueError` for anything but a `Chain`, a mass it does not have, and bad values in
-    `over`, before anything is compiled; `SweepInterrupted` on Ctrl-C, with the finished searches.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.boundaries import fold_belt_speeds
-        >>> found = fold_belt_speeds(
-        ...     paper_chain(n=1, width=1e-2), over={"damping_ratio": [0.05, 0.06, 0.6]}
-        ... )
-        >>> found.fold_belt_speed.values.round(6)
-        array([1.792456, 1.564241,      nan])
-        >>> [found.result.flag_meanings.split()[code] for code in found.result.values]
-        ['successful', 'successful', 'no_fold']
-    """
-    chain = as_chain(chain)
-    check_concrete("use `jax.vmap` of `fold_belt_speed`.", chain=chain, over=over)
-    mass = check_mass(chain, mass)
-    check_flag("progress", progress)
-    axes = check_axes(chain, None, over)
-    values = jobs(axes)
-    if "belt_speed" in values:
-        raise ValueError(
-            "Argument `over` names 'belt_speed', on which a fold does not depend: it is the "
-            "unknown. Leave it out."
-        )
-    began, count = time.perf_counter(), next(iter(values.values())).size
-    # Rows of a few sets each; the last one is filled up with its last set, which is not computed.
-    index = np.arange(-(-count // _AT_ONCE) * _AT_ONCE).reshape(-1, _AT_ONCE)
-    columns = [np.minimum(np.sum(index < count, axis=1), _AT_ONCE)]
-    columns += [column[np.minimum(index, count - 1)] for column in values.values()]
-    names = (*SEARCH_NAMES, "interrupted")
-    records = np.full((3, index.size), np.nan)
-    records[2] = len(names) - 1
-    task, rows, stopped = _FoldTask(chain, mass, tuple(values)), len(jax.local_devices()), False
-    with progress_bar(total=count, desc="folds", unit="fold", show=progress) as bar:
-        try:
-            for first in range(0, len(index), rows):
-                some = slice(first, first + rows)
-                folds = map_lanes(_folds, task, [column[some] for column in columns], lanes=1)
-                records[:, index[some].ravel()] = np.moveaxis(folds, 1, 0).reshape(3, -1)
-                bar.update(int(columns[0][some].sum()))
-        except KeyboardInterrupt:
-            stopped = True
-    # xarray brings pandas, which would double the time of the import.
-    import xarray as xr
-
-    from ..model.provenance import versions
-
-    shape = sizes(axes)
-    speeds, periods, codes = records[:, :count].reshape(3, *shape.values())
-    flags = {
-        "flag_values": np.arange(len(names), dtype=np.int32),
-        "flag_meanings": " ".join(names),
-    }
-    labels = {
-        "fold_belt_speed": ("greatest belt speed of a vibration", parameter("belt_speed").attrs),
-        "period": ("period of the cycle there", {"units": "1 / omega_n"}),
-        "result": ("how the search ended", {"units": "1"} | flags),
-    }
-    columns = speeds, periods, codes.astype(np.int32)
-    coords = {
-        name: (dim, column, parameter(name).attrs)
-        for dim, parts in axes.items()
-        for name, column in parts.items()
-    }
-    wall = round(time.perf_counter() - began, 3)
-    dataset = xr.Dataset(
-        {
-            name: (tuple(shape), column, {"long_name": title} | more)
-            for column, (name, (title, more)) in zip(columns, labels.items(), strict=True)
-        },
-        coords,
-        {
-            "chain": eqx.tree_pformat(chain, short_arrays=False),
-            "versions": json.dumps(versions()),
-            "mass": mass,
-        }
-        | {"wall_time_s": wall},
-    )
-    if stopped:
-        raise SweepInterrupted(dataset)
-    return dataset
-
-
-class _FoldTask(eqx.Module):
-    """The data common to all sets: their chain, and the names of the parameters that vary."""
-
-    chain: Chain
-    mass: int = eqx.field(static=True)
-    names: tuple[str, ...] = eqx.field(static=True)
-
-
-def _folds(task: _FoldTask, count: Int[Array, ""], *values: Float[Array, " sets"]) -> Array:
-    """(belt speed, period, result) of the first `count` sets, one after the other."""
-
-    def one(k: Array, folds: Array) -> Array:
-        numbers = {name: column[k] for name, column in zip(task.names, values, strict=True)}
-        fold = find_fold(with_numbers(task.chain, numbers), task.mass)
-        period = jnp.where(fold.successful, fold.period, jnp.nan)
-        row = fold.belt_speed, period, code(fold.result).astype(float)
-        return folds.at[:, k].set(jnp.stack(row))
-
-    return lax.fori_loop(0, count, one, jnp.full((3, _AT_ONCE), jnp.nan))

@@ -55,7 +55,7 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Bool, Float, Int
 
 from .._final import final
-from .._types import Given, ScalarLike, State
+from .._types import ScalarLike, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
 from ..continuation.elimination import solve
@@ -64,7 +64,6 @@ from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import Summits, dry_summits, graded, one_mass
 from ..cycles.phases import peak
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_mass
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..solvers.dormand_prince import step as step_of_order_8
@@ -484,6 +483,8 @@ class Grazing(Outcome):
       mass.
     - `touches`: whether the mass reaches the belt speed, so that the fold is a grazing; otherwise
       it is a smooth saddle-node of slip cycles.
+    - `scaled_peak_velocity`: the limit for width 0 of the one of a `Fold`: 0 if the mass reaches
+      the belt speed, else -inf; `width`: 0.
     - `slope_plus`, `slope_minus`: V_+ and V_-, the slopes of the belt speed in the relative
       velocities after and before the grazing.  For one mass -V_+ / V_- is the multiplier of the
       slip cycle, about 2 at a grazing and 1 at a saddle-node.
@@ -497,7 +498,7 @@ class Grazing(Outcome):
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
 
-    See `find_grazing` for an example.
+    See `find_fold` for an example.
     """
 
     belt_speed: Float[Array, ""]
@@ -514,6 +515,16 @@ class Grazing(Outcome):
     chain: Chain
     mass: int = eqx.field(static=True)
 
+    @property
+    def scaled_peak_velocity(self) -> Float[Array, "*batch"]:
+        """0 if the mass reaches the belt speed, else -inf."""
+        return jnp.where(self.touches, 0.0, -jnp.inf)
+
+    @property
+    def width(self) -> Float[Array, "*batch"]:
+        """0, the regularization width of dry friction."""
+        return jnp.zeros_like(self.belt_speed)
+
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """The fold of smoothed friction to O(width^(3/2)); NaN if none was found.
 
@@ -526,50 +537,6 @@ class Grazing(Outcome):
         return self.belt_speed + slopes.shift(width)
 
 
-def dry_fold_belt_speed(chain: Chain, mass: Given[int | None] = None) -> Float[Array, ""]:
-    """The greatest belt speed at which the vibration of one mass survives, for dry friction.
-
-    This is the limit of `fold_belt_speed` for width 0, computed directly: the grazing-sliding fold
-    or, if mu'(0) = 0, a saddle-node of slip cycles.  Mass `mass` vibrates, the others slide.
-
-    **Arguments:** `chain`; its `belt_speed` and width are ignored.  `mass`, the index (from 0) of
-    the mass, by default n // 2, oscillator 11 of 20.
-
-    **Returns:** the dimensionless v_d, with a relative error of about 1e-11; NaN if there is no
-    fold or none is found.  `find_grazing` returns its kind, or the reason.  Works under `jit`,
-    `vmap`, `grad`, `jvp` and `jax.hessian`, in every parameter of the chain.
-
-    **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import dry_fold_belt_speed, paper_chain
-    >>> round(float(dry_fold_belt_speed(paper_chain(n=1))), 9)
-    1.836600972
-    """
-    return find_grazing(chain, mass).belt_speed
-
-
-def find_grazing(chain: Chain, mass: Given[int | None] = None) -> Grazing:
-    """The fold of `dry_fold_belt_speed` with its cycle.
-
-    Arguments, errors and transformations are those of `dry_fold_belt_speed`.  If another mass
-    reaches the belt speed, `belt_speed` is NaN.
-
-    **Returns:** a `Grazing`.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import find_grazing
-    >>> grazing = find_grazing(paper_chain(n=1))
-    >>> bool(grazing.successful), round(float(grazing.smoothed(1e-3)), 4)
-    (True, 1.8311)
-    """
-    mass = check_mass(chain, mass)
-    return _find(chain, mass)
-
-
 def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:
     """The reason why no fold was found: `failed`, unless none is expected."""
     of = SearchResult
@@ -579,7 +546,8 @@ def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> S
 
 
 @eqx.filter_jit
-def _find(chain: Chain, mass: int) -> Grazing:
+def find_grazing(chain: Chain, mass: int) -> Grazing:
+    """The fold of dry friction; the width of `chain` is ignored."""
     fixed = lax.stop_gradient(chain)
     alone = one_mass(fixed, mass)
     summits = dry_summits(alone)

@@ -482,7 +482,7 @@ def find_special_cycle(
 
     - `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
       `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
-      `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
+      `find_fold`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
       last three must not be traced.
     - `model`: the model with other parameters, by default the same; its own value of the parameter
       is ignored.  If the search fails, it goes there in steps, unless `model` is traced.
@@ -602,11 +602,11 @@ def _solved(U: Array, equations: _CycleEquations) -> Array:
 
 def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
     """(equations, name of the parameter, unknowns) of a special cycle."""
-    remedy = "`continue_cycle(...).special` and `find_grazing` have them."
+    remedy = "`continue_cycle(...).special` and dry `find_fold` have them."
     given = CyclePoint | SpecialCycle | Grazing
     check_kind("point", point, given, "a special point of cycles", remedy)
     if isinstance(point, Grazing):
-        check_concrete("use `dry_fold_belt_speed`.", point=point)
+        check_concrete("use `fold_belt_speed`.", point=point)
         if not point.successful:
             raise ValueError(f"Argument `point` is a search that failed. {point.message}")
         chain, touches = point.chain.with_(width=None), bool(point.touches)
@@ -905,7 +905,7 @@ def continue_special(
     - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
       `continue_cycle(...).special`, with dry friction a fold or a change of the sequence, or a
       zero of one of its `events`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
-      dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first parameter.
+      dry friction, a `Grazing` of `find_fold`.  Its parameter is the first parameter.
     - `second`: the name of the second parameter, one for all cells.
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends
       where a parameter of a `Chain` that must not be negative is 0, and cycles without a force end
@@ -932,7 +932,7 @@ def continue_special(
         >>> round(float(curve.second[-1]), 9), round(float(curve.first[-1]), 9)
         (0.291637021, 0.26834438)
     """
-    remedy = "`continue_cycle(...).special`, `find_hopf_point` and `find_grazing` have them."
+    remedy = "`continue_cycle(...).special`, `find_hopf_point` and dry `find_fold` have them."
     given = CyclePoint | SpecialCycle | Grazing | HopfPoint
     check_kind("point", point, given, "a special point of cycles or a `HopfPoint`", remedy)
     if isinstance(point, CyclePoint) and point.kind == "hopf":

@@ -13,13 +13,13 @@ from witnesses.smoothed import OneMass
 from jaxchain import (
     Amplitude,
     EventDriven,
-    dry_fold_belt_speed,
+    find_fold,
     fold_belt_speed,
     hopf_belt_speed,
     paper_chain,
     simulate,
 )
-from jaxchain.boundaries import find_fold, find_grazing
+from jaxchain.boundaries import Grazing
 from jaxchain.boundaries.fold import first_guess, value_and_jacobian
 from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
@@ -252,7 +252,7 @@ def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
 @pytest.mark.long
 def test_any_width_has_its_fold():
     """Down to widths that no integration resolves; without a step where the asymptotics begin."""
-    dry = float(dry_fold_belt_speed(paper_chain(1)))
+    dry = float(fold_belt_speed(paper_chain(1, width=None)))
     numbers = np.array([[0.05, 0.5, 0.5, w] for w in (1e-7, 3e-8, 3e-9, 1e-12, 1e-30)])
     folds, _ = wild_folds(numbers)
     assert bool(jnp.all(folds.successful))
@@ -266,7 +266,8 @@ def test_any_width_has_its_fold():
     folds, _ = wild_folds([[0.05, 0.5, 0.5, w] for w in around])
     np.testing.assert_allclose(folds.belt_speed[0], folds.belt_speed[1], rtol=1e-9)
     # The formula that is used below, tried above, where the search knows better.
-    asymptotic = jax.vmap(find_grazing(paper_chain(1)).smoothed)(jnp.asarray(around[2:]))
+    grazing = cast(Grazing, find_fold(paper_chain(1, width=None)))
+    asymptotic = jax.vmap(grazing.smoothed)(jnp.asarray(around[2:]))
     np.testing.assert_allclose(asymptotic, folds.belt_speed[2:], rtol=2e-9)
 
 
@@ -276,9 +277,9 @@ def test_below_the_least_width_gradients_are_those_of_dry_friction():
         return fold_belt_speed(paper_chain(1).with_(damping_ratio=xi, width=width))
 
     slopes = jax.jit(jax.grad(speed, (0, 1)))(0.05, 1e-9)
-    dry = jax.grad(lambda xi: dry_fold_belt_speed(paper_chain(1).with_(damping_ratio=xi)))
+    dry = jax.grad(lambda xi: fold_belt_speed(paper_chain(1, width=None).with_(damping_ratio=xi)))
     np.testing.assert_allclose(slopes[0], dry(0.05), rtol=1e-5)
-    grazing = find_grazing(paper_chain(1))
+    grazing = cast(Grazing, find_fold(paper_chain(1, width=None)))
     np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)
 
 
@@ -306,7 +307,9 @@ def test_folds_are_found_for_every_multiplier_of_the_slip_cycle():
     """Their gap to the asymptotics, which come from dry friction alone, is C width^(3/2)."""
     numbers = steep_sets(8, 60)
     folds, _ = wild_folds(numbers)
-    dry = jax.vmap(lambda one: find_grazing(wild_chain(one)))(jnp.asarray(numbers))
+    dry: Any = jax.vmap(lambda one: find_fold(wild_chain(one).with_(width=None)))(
+        jnp.asarray(numbers)
+    )
     np.testing.assert_array_equal(folds.successful, dry.successful)
     multiplier = np.asarray(-dry.slope_plus / dry.slope_minus)
     speeds = np.minimum(dry.belt_speed, 2.0 * numbers[:, 2])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxchain import find_limit_cycle, paper_chain
-from jaxchain.boundaries import find_grazing
+from jaxchain.boundaries import Grazing, find_fold
 from jaxchain.cycles.phases import peak, phases_from, phases_of, slip_phases
 
 
@@ -29,7 +29,8 @@ def test_the_peak_of_a_cubic():
 @pytest.mark.parametrize("n", [1, 3])
 def test_a_slip_cycle_that_grazes_solves_the_equations(n):
     chain = paper_chain(n, width=None)
-    grazing = find_grazing(chain)
+    grazing = find_fold(chain)
+    assert isinstance(grazing, Grazing)
     phases, u = slip_phases(grazing.chain, grazing.state, grazing.period, n // 2, True)
     phases = replace(phases, parameter=("belt_speed",))
     value, _, seen = phases.cycle(u, grazing.belt_speed)
