@@ -619,6 +619,8 @@ def _find(chain: Chain, mass: int) -> Grazing:
     folds = dry.is_fold & (slope_minus < 0) & (deceleration > 0)
     at_speed = eqx.tree_at(lambda c: c.belt_speed, fixed, speed)
     folds = folds & at_speed.can_be_cycle(jnp.exp(dry.q[-2]), jnp.abs(v))
+    # Where steps do not resolve the weakening of friction, Newton's steps can end at no cycle.
+    folds = folds & (jnp.max(jnp.abs(gap)) < 1e-6)
     exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
