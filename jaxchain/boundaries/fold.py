@@ -9,10 +9,12 @@ there, because at s < 0 smoothed friction is smaller by the fraction 2 exp(2 s).
 a secant for V'(s) = 0 around Newton's method.  A Newton step is the shortest one, in s and in 30
 widths of v_d, that closes the linearised cycle.
 
-The multiplier of a slip cycle is up to 1e16 if friction weakens over a small part of v_d, and the
-layer undoes this growth.  Half of it lies before the cut, where integration backward reverses it.
-So the cycle runs from the cut half a period forward and half a period backward, as in
-`GrazingOrbit`, and both ends should meet: no disturbance grows by more than the square root.
+The multiplier of a slip cycle is huge if friction weakens over a small part of v_d, and the layer
+undoes this growth.  Half of it lies before the cut, where integration backward reverses it.  So
+the cycle runs from the cut half a period forward and half a period backward, as in `GrazingOrbit`,
+and both ends should meet: no disturbance grows by more than the square root.  If that is above
+1e7, the runs meet sooner after the layer, where the growth is at most 1e8, and the rest of the
+cycle is run backward, which reverses all of it.
 
 The search starts from averaging, the dry cycle of `boundaries/grazing.py`, and its layer.
 
@@ -48,15 +50,34 @@ from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
+<<<<<<< HEAD
 from .grazing import (
     Grazing,
+=======
+from ..sweeps.axes import check_axes, jobs, sizes
+from ..sweeps.lanes import with_numbers
+from ..sweeps.programs import map_lanes
+from ..sweeps.sweeping import SweepInterrupted
+from .grazing import (
+>>>>>>> wild59
     GrazingOrbit,
     Slopes,
     find_dry_fold,
     find_grazing,
+<<<<<<< HEAD
     slip_force,
     without_fold,
 )
+=======
+    resolved,
+    short_run,
+    slip_force,
+    without_fold,
+)
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+>>>>>>> wild59
 
 
 @final
@@ -70,9 +91,11 @@ class FoldSettings:
       thin layer are the better guess; `thick`: above it they are not used.
     - `least_width`: below it the fold is computed at this width and corrected by the asymptotics.
       Their error is C (3e-8)^(3/2) = 5e-12 C, with C of order 1 if the multiplier of the slip
-      cycle is moderate, and below 1600 if it is at most 1e16.
+      cycle is moderate, and up to 1e4 if it is huge.
     - `unstable`: the multiplier of the dry slip cycle, and `narrow`: the width, beyond which a
       loose integration does not help.
+    - `wild`: the multiplier beyond which the runs meet right after the layer, with the tolerance
+      `wild_rtol`, s changes by at most `wild_step` at a time, and Newton's method keeps s.
 
     For the search, (loose, tight) if there are two:
 
@@ -97,6 +120,9 @@ class FoldSettings:
     thick: float = 0.1
     least_width: float = 3e-8
     unstable: float = 30.0
+    wild: float = 1e14
+    wild_rtol: float = 1e-13
+    wild_step: float = 0.3
     narrow: float = 1e-5
     rtol: float = 5e-12
     closed: float = 1e-9
@@ -119,14 +145,17 @@ _SET = FoldSettings()
 class FoldGuess(NamedTuple):
     """Equations and a first guess of a fold.
 
-    `point`: see `unknowns`; `width`: the least width of the search; `loose`: the tolerance on the
-    way; `hopeful`: whether a fold may exist; if not, `result` gives the reason; `unstable` and
-    `weakly_unstable`: whether the slip cycle is known and its multiplier is above
+    `point`: see `unknowns`; `short`: share of the period from the layer to where the runs meet;
+    `wild`: whether it is less than a half; `width`: the least width of the search; `loose`: the
+    tolerance on the way; `hopeful`: whether a fold may exist; if not, `result` gives the reason;
+    `unstable` and `weakly_unstable`: whether the slip cycle is known and its multiplier is above
     `_SET.unstable` or not; `slopes`: of the grazing cycle.
     """
 
     shooting: Shooting
     point: Float[Array, " m_plus_1"]
+    short: Float[Array, ""]
+    wild: Bool[Array, ""]
     width: Float[Array, ""]
     loose: Float[Array, ""]
     hopeful: Bool[Array, ""]
@@ -141,13 +170,17 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     alone = one_mass(chain, mass)
     summits = dry_summits(alone)
     scale = speed_scale(alone, summits.touching)
-    dry = find_dry_fold(chain, mass, alone, summits, alone.width < _SET.polish * scale)
-    grazing = GrazingOrbit(chain, dry.steps, mass)
+    short = short_run(alone, scale)
+    # Coarse steps do not resolve friction that weakens fast.
+    exact = (alone.width < _SET.polish * scale) | (short < 0.5)
+    dry = find_dry_fold(chain, mass, alone, summits, exact)
+    grazing = GrazingOrbit(chain, dry.steps, dry.forward, mass)
     (_, v), _, dry_speed = grazing.unpack(dry.q, dry.w)
-    leaving, arriving = dry.layer_velocities[-1]
+    leaving, arriving = resolved(dry.layer_velocities[-1])
     slopes = Slopes(leaving, arriving, grazing.deceleration(v), grazing.static_force)
     multiplier = -slopes.leaving / slopes.arriving
     unstable = multiplier > _SET.unstable
+    wild = multiplier > _SET.wild
     least = scale * _SET.least_width
     least = jnp.where(jnp.isfinite(least), least, 0.0)
     chain, alone = at_least_wide(chain, least), at_least_wide(alone, least)
@@ -179,7 +212,7 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     everyone = tuple(range(chain.n))
     shooting = Shooting(
         field=chain,
-        rtol=_SET.rtol,
+        rtol=jnp.where(wild, _SET.wild_rtol, _SET.rtol),
         solver=solver,
         mass=mass,
         images=everyone,
@@ -195,8 +228,10 @@ def first_guess(chain: Chain, mass: int) -> FoldGuess:
     return FoldGuess(
         shooting=shooting,
         point=point,
+        short=jnp.where(wild, short, 0.5),
+        wild=wild,
         width=least,
-        loose=jnp.where(good, _SET.rtol, loose_rtol(chain)),
+        loose=jnp.where(good, shooting.rtol, loose_rtol(chain)),
         hopeful=~none & damped & exists & sound,
         result=without_fold(failed, exists, damped, none),
         unstable=dry.is_fold & unstable,
@@ -255,17 +290,16 @@ def unknowns(shooting: Shooting, point: Float[Array, " m_plus_1"]) -> tuple[Arra
     return point[:-1].at[shooting.z_index].set(point[-1]), point[shooting.z_index]
 
 
-# The runs from the cut that should meet, in periods, and the states at their ends.
-_HALVES = 0.5, -0.5
+# The states at the ends of the runs from the cut that should meet.
 _Ends = tuple[Float[Array, "two n"], ...]
 
 
 def value_and_jacobian(
-    shooting: Shooting, point: Float[Array, " m_plus_1"]
+    shooting: Shooting, forward: Float[Array, ""], point: Float[Array, " m_plus_1"]
 ) -> tuple[Float[Array, " m"], Float[Array, "m m_plus_1"]]:
     """The residual, and its derivatives in `point`."""
 
-    def half(part: Array) -> Sensitivity:
+    def run_for(part: Array) -> Sensitivity:
         def make(point: Array) -> tuple[AbstractModel, State, Array]:
             field, state, period = shooting.unpack(*unknowns(shooting, point))
             return field, state, part * period
@@ -279,7 +313,7 @@ def value_and_jacobian(
     def along(one: Array, slopes: _Ends) -> tuple[Array, Array]:
         return jax.jvp(gap, (point, run.end), (one, slopes), has_aux=True)[1:]
 
-    run, unit = jax.vmap(half)(jnp.asarray(_HALVES)), jnp.eye(point.shape[0])
+    run, unit = jax.vmap(run_for)(_parts(forward)), jnp.eye(point.shape[0])
     columns, r = jax.vmap(along, (0, 1), (0, None))(unit, run.slopes)
     return r, columns.T
 
@@ -290,14 +324,32 @@ def _gap(u: Float[Array, " m"], speed: Any, shooting: Shooting, ends: _Ends) -> 
     return jnp.concatenate([after - before for after, before in ends]) / v[shooting.mass]
 
 
-def _closure(u: Float[Array, " m"], speed: Any, shooting: Shooting) -> Float[Array, " m"]:
+def forward_share(start: FoldGuess, point: Float[Array, " m_plus_1"]) -> Array:
+    """Share of the period from the cut to where the runs meet, after the layer.
+
+    At the cut -kappa t = 2 h exp(2 s), with t = 0 at the grazing.
+    """
+    time = 2.0 * start.slopes.static_force / start.slopes.deceleration
+    time = time * jnp.exp(2.0 * jnp.sinh(point[-1]) - point[-2])
+    return lax.stop_gradient(jnp.fmin(0.5, start.short + time))
+
+
+def _parts(forward: Array) -> Float[Array, " two"]:
+    """The runs from the cut that should meet, in periods."""
+    return jnp.stack([forward, forward - 1.0])
+
+
+def _closure(
+    u: Float[Array, " m"], speed: Any, args: tuple[Shooting, Float[Array, ""]]
+) -> Float[Array, " m"]:
     """The residual of `value_and_jacobian` alone, for derivatives of any order."""
+    shooting, forward = args
     field, state, period = shooting.unpack(u, speed)
 
-    def half(part: Array) -> State:
+    def run_for(part: Array) -> State:
         return flow(field, state, part * period, rtol=shooting.rtol, solver=shooting.solver)[0]
 
-    return _gap(u, speed, shooting, jax.vmap(half)(jnp.asarray(_HALVES)))
+    return _gap(u, speed, shooting, jax.vmap(run_for)(_parts(forward)))
 
 
 def search(start: FoldGuess) -> FoldSearch:
@@ -340,7 +392,7 @@ def search(start: FoldGuess) -> FoldSearch:
 
     none, point = jnp.zeros((), int), start.point
     begin = FoldSearch(point, _fresh(point), secant, nan, unknown, none, start.hopeful)
-    return lax.scan(stage, begin, jnp.stack([start.loose, jnp.asarray(_SET.rtol)]))[0]
+    return lax.scan(stage, begin, jnp.stack([start.loose, start.shooting.rtol]))[0]
 
 
 def _fresh(point: Array) -> _Newton:
@@ -354,7 +406,7 @@ def _entry(shooting: Shooting, now: FoldSearch, tight: Array, start: FoldGuess) 
 
     index = shooting.z_index
     q, z = now.point[:-1], now.point[-1]
-    r, jacobian = value_and_jacobian(shooting, now.point)
+    r, jacobian = value_and_jacobian(shooting, forward_share(start, now.point), now.point)
     norm = jnp.max(jnp.abs(r))
     good = norm < now.newton.norm  # false for NaN
     both = solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
@@ -362,7 +414,7 @@ def _entry(shooting: Shooting, now: FoldSearch, tight: Array, start: FoldGuess) 
     # Of the corrections that close the cycle, take the one that changes s and the belt speed
     # least: if a mass sticks long before the cut, its gap does not depend on the belt speed.
     narrow = jnp.min(shooting.field.width)  # pyright: ignore[reportAttributeAccessIssue]
-    few = _SET.few_widths * narrow
+    few = jnp.where(start.wild, jnp.inf, _SET.few_widths * narrow)
     per_width, sideways = tangent[index] / few, closing[index] / few
     aside = -sideways * per_width / (1.0 + per_width**2)
     step = tangent * aside + closing
@@ -374,7 +426,7 @@ def _entry(shooting: Shooting, now: FoldSearch, tight: Array, start: FoldGuess) 
     # A closed cycle: update the secant for V'(s) = 0.
     s, slope, speed = jnp.sinh(z), tangent[index] / jnp.cosh(z), jnp.abs(q[index])
     new_s, gain, secant = _towards_fold(
-        now.secant, s, q[index], slope, s - shooting.rest(q[index]), start.weakly_unstable
+        now.secant, s, q[index], slope, s - shooting.rest(q[index]), start
     )
     apart, change = jnp.abs(s - now.secant.s), jnp.abs(q[index] - now.secant.speed)
     tiny = start.unstable | (change < _SET.level_widths * narrow)
@@ -428,7 +480,7 @@ def _towards_fold(
     speed: Array,
     slope: Array,
     distance_to_rest: Array,
-    weakly_unstable: Array,
+    start: FoldGuess,
 ) -> tuple[Array, Array, _SlopeSecant]:
     """(the next s, mean V' on the way there over V' at s, updated secant); V rises up to the fold.
 
@@ -448,7 +500,7 @@ def _towards_fold(
     gap = jnp.where(apart, ordinate(s) - ordinate(before.s), 1.0)
     curvature = jnp.where(apart, (slope - before.slope) / gap, before.curvature)
     # The distance between the first closed cycle and the second one.
-    far = jnp.where(weakly_unstable, jnp.maximum(0.15, -0.5 * (s + 3.0)), 0.15)
+    far = jnp.where(start.weakly_unstable, jnp.maximum(0.15, -0.5 * (s + 3.0)), 0.15)
     probe = s + jnp.sign(slope) * jnp.minimum(0.03 * distance_to_rest, far)
     # Not far up into the layer, where V falls steeply, and not all the way down to rest.
     highest = jnp.maximum(s + 0.7, jnp.minimum(s + 0.3 * distance_to_rest, -2.5))
@@ -460,11 +512,15 @@ def _towards_fold(
     middle = 0.5 * (low + high)
     target = jnp.where((target > low) & (target < high) & (curvature < 0), target, middle)
     target = jnp.where(jnp.isfinite(target), target, probe)
+    # Of a very unstable slip cycle V' falls faster than any exponential of s.
+    least = jnp.where(start.unstable & apart, 0.05 * distance, 0.0)
+    target = s + jnp.sign(target - s) * jnp.maximum(jnp.abs(target - s), least)
     # From a target that is too far, Newton's method returns along the branch: shorten the step.
     wanted, gone = jnp.abs(before.target - before.s), jnp.abs(s - before.s)
     trust_radius = jnp.where(
         gone < 0.5 * wanted, _SET.shrinkage * wanted, 2.0 * before.trust_radius
     )
+    trust_radius = jnp.where(start.wild, _SET.wild_step, trust_radius)
     target = jnp.clip(target, s - trust_radius, s + trust_radius)
     change = curvature * (ordinate(target) - ordinate(s))
     gain = jnp.where(curvature < 0, jnp.clip(1.0 + 0.5 * change / slope, 0.0, 1.0), 1.0)
@@ -515,6 +571,7 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
     **Arguments:** `chain`, smoothed or dry; its `belt_speed` is ignored.  `mass`, the index (from
     0) of the mass, by default n // 2, oscillator 11 of 20.
 
+<<<<<<< HEAD
     **Returns:** the dimensionless v_d, with a relative error of about 1e-9, for dry friction
     1e-11; NaN if there is no fold or none is found (`find_fold` gives the reason).  For widths
     below 3e-8 of the speed of the problem (v_d, or twice the speed over which friction weakens),
@@ -526,6 +583,16 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
     derivatives: since v_d is stationary along the branch, a cycle with fixed max w / eps has the
     same.  With dry friction derivatives are of any order.  In a batch of `jax.vmap` all searches
     take as long as the hardest one; `jax.lax.map` runs one after the other.
+=======
+    **Returns:** the dimensionless v_d, with a relative error of about 1e-9; NaN if there is no
+    fold or none is found (`find_fold` gives the reason).  For widths below 3e-8 of the speed of
+    the problem (v_d, or twice the speed over which friction weakens), the fold is computed at that
+    width and corrected by the asymptotics of `Grazing.smoothed`, with an error below 1e-10 of that
+    speed, or 1e-7 if the slip cycle is very unstable.  The correction enters only the derivative
+    in the width; other derivatives then have an error of about 1e-6.  It works under
+    `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first derivatives: since
+    v_d is stationary along the branch, a cycle with fixed max w / eps has the same.
+>>>>>>> wild59
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 
@@ -570,14 +637,17 @@ def _belt_speed(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearc
         "`fold_belt_speed` can be differentiated once only. For second derivatives take "
         "`find_fold(chain).belt_speed`."
     )
-    q = attach_derivative(fixed_peak_residual, search_end.point[:-1], (shooting, z), once=once)
+    args = shooting, forward_share(start, search_end.point), z
+    q = attach_derivative(fixed_peak_residual, search_end.point[:-1], args, once=once)
     return if_found(search_end.converged, q[shooting.z_index] + _gained(chain, mass, start))
 
 
-def fixed_peak_residual(q: Float[Array, " m"], args: tuple[Shooting, Array]) -> Float[Array, " m"]:
+def fixed_peak_residual(
+    q: Float[Array, " m"], args: tuple[Shooting, Array, Array]
+) -> Float[Array, " m"]:
     """The equations of the cycle whose mass j has max w / eps = sinh z."""
-    shooting, z = args
-    return _closure(*unknowns(shooting, jnp.append(q, z)), shooting)
+    shooting, forward, z = args
+    return _closure(*unknowns(shooting, jnp.append(q, z)), (shooting, forward))
 
 
 def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold | Grazing:
@@ -621,7 +691,8 @@ def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> 
         jnp.where(search_end.converged, slope, jnp.eye(slope.shape[0]))
     )
     both = jnp.append(*unknowns(shooting, search_end.point))
-    both = attach_derivative(fold_residual(_closure), both, (shooting, (left[:, -1], right[-1])))
+    args = (shooting, forward_share(start, search_end.point)), (left[:, -1], right[-1])
+    both = attach_derivative(fold_residual(_closure), both, args)
     _, state, period = shooting.unpack(both[:-1], both[-1])
     return Fold(
         belt_speed=if_found(search_end.converged, both[-1] + _gained(chain, mass, start)),
