@@ -50,34 +50,17 @@ from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-<<<<<<< HEAD
 from .grazing import (
     Grazing,
-=======
-from ..sweeps.axes import check_axes, jobs, sizes
-from ..sweeps.lanes import with_numbers
-from ..sweeps.programs import map_lanes
-from ..sweeps.sweeping import SweepInterrupted
-from .grazing import (
->>>>>>> wild59
     GrazingOrbit,
     Slopes,
     find_dry_fold,
     find_grazing,
-<<<<<<< HEAD
-    slip_force,
-    without_fold,
-)
-=======
     resolved,
     short_run,
     slip_force,
     without_fold,
 )
-
-if TYPE_CHECKING:
-    from xarray import Dataset
->>>>>>> wild59
 
 
 @final
@@ -571,28 +554,17 @@ def fold_belt_speed(chain: Given[Chain], mass: Given[int | None] = None) -> Floa
     **Arguments:** `chain`, smoothed or dry; its `belt_speed` is ignored.  `mass`, the index (from
     0) of the mass, by default n // 2, oscillator 11 of 20.
 
-<<<<<<< HEAD
     **Returns:** the dimensionless v_d, with a relative error of about 1e-9, for dry friction
     1e-11; NaN if there is no fold or none is found (`find_fold` gives the reason).  For widths
     below 3e-8 of the speed of the problem (v_d, or twice the speed over which friction weakens),
     the fold is computed at that width and corrected by the asymptotics of `Grazing.smoothed`, with
-    an error below 1e-10 of that speed, or 1e-8 if the slip cycle is very unstable.  The correction
+    an error below 1e-10 of that speed, or 1e-7 if the slip cycle is very unstable.  The correction
     enters only the derivative in the width; other derivatives then have an error of about 1e-6.
 
     It works under `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first
     derivatives: since v_d is stationary along the branch, a cycle with fixed max w / eps has the
     same.  With dry friction derivatives are of any order.  In a batch of `jax.vmap` all searches
     take as long as the hardest one; `jax.lax.map` runs one after the other.
-=======
-    **Returns:** the dimensionless v_d, with a relative error of about 1e-9; NaN if there is no
-    fold or none is found (`find_fold` gives the reason).  For widths below 3e-8 of the speed of
-    the problem (v_d, or twice the speed over which friction weakens), the fold is computed at that
-    width and corrected by the asymptotics of `Grazing.smoothed`, with an error below 1e-10 of that
-    speed, or 1e-7 if the slip cycle is very unstable.  The correction enters only the derivative
-    in the width; other derivatives then have an error of about 1e-6.  It works under
-    `jit`, `vmap`, `grad` and `jvp`, in every parameter of the chain, for first derivatives: since
-    v_d is stationary along the branch, a cycle with fixed max w / eps has the same.
->>>>>>> wild59
 
     **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
 

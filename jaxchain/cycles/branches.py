@@ -919,7 +919,7 @@ def switch_cycle(
         raise RuntimeError(switched.reason)
     defaults = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300, "keep_part": True}
     options = {"step": step, **defaults, **options}
-    start = switched.u, switched.p, switched.direction
+    start = switched.u, switched.p, cast(np.ndarray, switched.direction)
     if isinstance(shooting, Phases):
         return _follow_dry(Start(shooting, *start), branch.mass, RTOL, bounds, stop, options)
     return _follow(shooting, *start, bounds, stop, options)
