@@ -59,6 +59,7 @@ class _Part(NamedTuple):
 
     @property
     def masses(self) -> frozenset[int]:
+        """Those that have an event at the end."""
         return frozenset(i for _, i, _ in self.events)
 
 
