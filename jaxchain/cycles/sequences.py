@@ -208,6 +208,7 @@ def sequence_of(
 
 
 def is_valid(orbit: Phases, seen: Any) -> bool:
+    """Whether a solution is a motion: it meets no further event, and no duration is negative."""
     return bool(np.max(seen.margins) < 0 and (not orbit.slips or seen.below > 0) and seen.sound)
 
 
