@@ -150,7 +150,7 @@ def main():
     meetings, hopf = {}, jc.boundaries.find_hopf_point(chain, "belt_speed")
     for name, values in CURVES.items():  # also a little beyond what is drawn
         ends = 0.9 * values[0], 1.1 * values[-1]
-        curve = jc.continue_special(hopf, name, bounds={name: ends}, max_step=1.0)
+        curve = jc.continue_special(hopf, name, bounds={name: ends}, max_step=1.0, keep_part=False)
         for meeting in curve.of_kind("generalised Hopf"):
             meetings[name] = meeting.second, meeting.first
     cycles = {"dry friction": dry_cycles()}

@@ -25,6 +25,7 @@ from .._checks import (
     check_function,
     check_kind,
     check_one_of,
+    check_positive_number,
     check_whole,
     shown,
     to_float,
@@ -34,6 +35,8 @@ from .._types import ArrayLike, Given, ScalarLike, State, StateLike
 from ..continuation.arclength import (
     Switched,
     check_following,
+    check_steps,
+    check_walk,
     continue_branch,
     make_corrector,
     switch_branch,
@@ -810,13 +813,17 @@ def continue_cycle(
         "keep_part": keep_part,
     }
     if field.dry:
+        way = _sign(direction)  # all is checked before anything long starts
+        check_steps(step, min_step, max_step)
+        check_positive_number("tolerance", tolerance, "1e-9 is usual.")
+        check_walk(p, (-np.inf, np.inf) if bounds is None else bounds, max_points, keep_part)
         begin = sequence_of(field, state, period, mass, parameter, float(tolerance))
         if begin is None:
             raise NoBranchError(
                 "No sequence of sticking and sliding was found that has this cycle: give one of "
                 "`find_limit_cycle`, or begin at another value of the parameter."
             )
-        begin = begin._replace(direction=_sign(direction) * begin.direction)
+        begin = begin._replace(direction=way * begin.direction)
         return _follow_dry(begin, mass, rtol, bounds, stop, options, events)
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
     images, shift = as_symmetry(images, field, state, mass)
