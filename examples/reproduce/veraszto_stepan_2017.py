@@ -27,7 +27,7 @@ top = find_fold(smooth)
 for side, line, label in ("slip", "--", "slip, unstable"), ("stick", "-", "stick and slip"):
     branch = continue_cycle(
         smooth.with_(belt_speed=top.belt_speed), top.state, top.period,
-        direction=side, max_step=0.1, bounds=(0.1, np.inf),
+        direction=side, max_step=0.1, bounds=(0.1, np.inf), keep_part=False,
     )  # fmt: skip
     axes.plot(branch.parameter * speed, branch.amplitude[:, 0] * C0 / k * 1e3, line, label=label)
 axes.axvspan(hopf, fold, alpha=0.1, label="bistable")

@@ -94,8 +94,9 @@ def smoothed_cycles(chain):
     start = chain.with_(belt_speed=fold.belt_speed), fold.state, fold.period
     for direction in ("slip", "stick"):
         side = jc.continue_cycle(
-            *start, direction=direction, step=0.02, max_step=0.1, bounds=(LOWEST, np.inf)
-        )
+            *start, direction=direction, step=0.02, max_step=0.1, bounds=(LOWEST, np.inf),
+            keep_part=False,
+        )  # fmt: skip
         sides.append(np.array([side.parameter, side.amplitude[:, 0]]))
     hopf = np.array([[float(jc.hopf_belt_speed(chain))], [0.0]])
     return [np.append(hopf, sides[0][:, ::-1], axis=1), sides[1]]
