@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxchain
-from jaxchain import dry_fold_belt_speed, fold_belt_speed, paper_chain
+from jaxchain import fold_belt_speed, paper_chain
 from jaxchain.boundaries import extrapolated_fold
 
 AUTO_WIDTH, AUTO_FOLD = 1e-2, 1.79246  # the point LP that AUTO-07p prints
@@ -23,7 +23,7 @@ jaxchain.configure()
 chain = paper_chain(n=1)
 widths = jnp.geomspace(1e-4, 0.1, 25)
 folds = jax.jit(jax.vmap(lambda width: fold_belt_speed(chain.with_(width=width))))(widths)
-dry, limit = float(dry_fold_belt_speed(chain)), extrapolated_fold(chain)
+dry, limit = float(fold_belt_speed(chain.with_(width=None))), extrapolated_fold(chain)
 
 plt.rcParams.update({"font.size": 9})
 fig, (left, right) = plt.subplots(1, 2, figsize=(7, 2.8), layout="constrained")

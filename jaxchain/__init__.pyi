@@ -13,9 +13,10 @@ from . import simulation as simulation
 from . import solvers as solvers
 from . import sweeps as sweeps
 from ._configure import configure as configure
+from .boundaries.fold import find_fold as find_fold
 from .boundaries.fold import fold_belt_speed as fold_belt_speed
-from .boundaries.grazing import dry_fold_belt_speed as dry_fold_belt_speed
 from .boundaries.hopf import hopf_belt_speed as hopf_belt_speed
+from .boundaries.ranges import stability_range as stability_range
 from .boundaries.special_curves import continue_special as continue_special
 from .chaos.classification import verdict as verdict
 from .chaos.lyapunov import lyapunov_spectrum as lyapunov_spectrum

@@ -78,8 +78,7 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
 
         >>> import jax, textwrap
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import SearchResult, paper_chain
-        >>> from jaxchain.boundaries import find_fold
+        >>> from jaxchain import SearchResult, find_fold, paper_chain
         >>> fold = find_fold(paper_chain(n=1, width=1e-2).with_(damping_ratio=0.6))
         >>> bool(fold.successful), bool(fold.result == SearchResult.no_fold)
         (False, True)
@@ -108,10 +107,6 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     other_kind = (
         "A cycle was found, but not as requested: of the other kind (stick-slip or slip), or with "
         "a shorter period, for which the given shift of time is another one."
-    )
-    no_meeting = (
-        "The first Lyapunov coefficient does not change its sign between `low` and `high`, or "
-        "jumps there: the fold does not end on the Hopf curve in between."
     )
     passed = (
         "No fold was found: on the grazing cycle another mass exceeds the belt speed. "
@@ -147,8 +142,8 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     no_cycle = (
         "No fold was found, although averaging predicts one: the search for a cycle failed. If "
         "friction weakens over speeds far below that of the belt, the cycle is very unstable: "
-        "`find_grazing(chain).smoothed(width)` estimates the fold. Otherwise another "
-        "width may help, or `continue_cycle` from a cycle of `find_limit_cycle`."
+        "`find_fold(chain.with_(width=None)).smoothed(width)` estimates the fold. Otherwise "
+        "another width may help, or `continue_cycle` from a cycle of `find_limit_cycle`."
     )
     at_hopf = (
         "The belt speed equals that of a Hopf point to within 1e-8: an unstable cycle, if it "

@@ -109,14 +109,14 @@ def cycle_branch(n=2, special=("fold", "hopf")):
         state, own = np.full(n, top), top * 0.1 ** np.arange(n)
         points.append(
             CyclePoint(
-                kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw, shooting
+                kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw, shooting, 0.5
             )
         )
     tangents, none = np.ones((8, 2 * n + 1)), np.zeros(8)
     return CycleBranch(
         "belt_speed", speed, (amplitude, -amplitude), np.linspace(6.31, 6.28, 8), amplitude,
-        np.linspace(3.0, -10.0, 8), multipliers, np.full(8, 1e-9), tuple(points), shooting,
-        Branch(u, speed, np.arange(8.0), tangents, none, None, (), "stopped"),
+        np.linspace(3.0, -10.0, 8), multipliers, np.full(8, 1e-9), tuple(points),
+        ((shooting, Branch(u, speed, np.arange(8.0), tangents, none, None, (), "stopped")),), 0,
     )  # fmt: skip
 
 

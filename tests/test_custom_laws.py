@@ -11,7 +11,6 @@ import pytest
 from matplotlib import pyplot as plt
 
 from jaxchain.boundaries.fold import fold_belt_speed
-from jaxchain.boundaries.grazing import dry_fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.cycles.averaging import dry_summits, one_mass
@@ -74,11 +73,15 @@ def agree(one, other, bound=1e-10):
         np.testing.assert_allclose(a, b, rtol=bound, atol=bound)
 
 
+def dry_fold(chain):
+    return fold_belt_speed(chain.with_(width=None))
+
+
 @pytest.mark.parametrize(
     "boundary",
     [
         hopf_belt_speed,
-        pytest.param(dry_fold_belt_speed, marks=pytest.mark.long),
+        pytest.param(dry_fold, marks=pytest.mark.long),
         pytest.param(fold_belt_speed, marks=pytest.mark.long),
     ],
 )

@@ -12,7 +12,7 @@ from layouts import PAGE, Row, differences, row_of, rows, tables
 from synthetic import cycle_branch, special_curve
 
 from jaxchain.basins import Box, basin_shares, share_differences
-from jaxchain.boundaries import complex_modes, continue_equilibrium, fold_belt_speeds
+from jaxchain.boundaries import complex_modes, continue_equilibrium
 from jaxchain.continuation import continue_branch
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.initial_states import equation_8
@@ -27,7 +27,7 @@ from jaxchain.observers import (
     Section,
     StickTime,
 )
-from jaxchain.result import NAMES, SEARCH_NAMES, SearchResult, advice_of, message
+from jaxchain.result import NAMES, message
 from jaxchain.scenes.running import cycles, hopf_speed, origin_attributes
 from jaxchain.sweeps.ensemble import RunSettings, prepare
 
@@ -104,29 +104,12 @@ def test_attributes_of_a_folder_and_of_branches():
     assert set(cycle_branch().to_dataset().attrs) <= attributes("Branches", "Of cycles")
 
 
-@pytest.mark.parametrize(
-    ("section", "codes"),
-    [
-        ("Codes of runs", [(name, message(name)) for name in NAMES]),
-        (
-            "Codes of searches",
-            [(name, advice_of(getattr(SearchResult, name))) for name in SEARCH_NAMES],
-        ),
-    ],
-)
-def test_codes(section, codes):
-    text = PAGE.read_text(encoding="utf-8").partition(f"### {section}\n")[2].partition("##")[0]
+def test_codes():
+    text = PAGE.read_text(encoding="utf-8").partition("## How runs end\n")[2].partition("##")[0]
     told = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*) \|$", text, re.MULTILINE)
-    wanted = [(str(k), name, advice) for k, (name, advice) in enumerate(codes)]
+    wanted = [(str(k), name, message(name)) for k, name in enumerate(NAMES)]
     assert told[1:] == wanted[1:]
     assert told[0][:2] == wanted[0][:2]
-
-
-@pytest.mark.long
-def test_folds():
-    data = fold_belt_speeds(DRY.with_(coupling=None), over={"damping_ratio": [0.6]})
-    assert not differences(TABLES["Folds over parameters", ""], rows(data, ("damping_ratio",)))
-    assert set(data.attrs) <= attributes("Folds over parameters")
 
 
 @pytest.mark.long

@@ -49,10 +49,12 @@ def mu(s):
     return 0.5 + 0.5 * np.exp(-s / 0.5)
 
 
-def by_scipy(name, t1=END, stiffness=1.0, damping=0.1, start=(1.9, 0.2), t0=0.0):
+def by_scipy(
+    name, t1=END, stiffness=1.0, damping=0.1, start=(1.9, 0.2), t0=0.0, speed=SPEED, force=FORCE
+):
     """(t, x, v) at t1, the time for which the mass sticks, and the times at which it lets go."""
     forced = "forced" in name
-    speed, force = (0.0, FORCE) if forced else (SPEED, 0.0)
+    speed, force = (0.0, force) if forced else (speed, 0.0)
 
     def pull(t, y):
         return force * np.cos(FREQUENCY * t) - stiffness * y[0] - damping * y[1]
@@ -130,18 +132,12 @@ def finds_a_cycle(name, model):
 
 
 def continues_a_cycle(name, model):
-    cycle = cycle_of(name)
-    if model.dry:
-        with pytest.raises(ValueError, match="dry friction"):
-            continue_cycle(cycle, bounds=(1.2, 1.4))
-        return
-    branch = continue_cycle(cycle, bounds=(1.2, 1.4), max_points=5)
-    k = len(branch.parameter) - 1
-    assert branch.parameter[k] != SPEED
-    there = model.with_(belt_speed=branch.parameter[k])
-    state = tuple(part[k] for part in branch.state)
-    end = simulate(there, state, branch.period[k], rtol=1e-9).state
-    np.testing.assert_allclose(end, state, atol=1e-6)
+    of, argument = ("force", "force") if "forced" in name else ("belt_speed", "speed")
+    branch = continue_cycle(cycle_of(name), parameter=of, bounds=(1.2, 1.6), max_points=5)
+    value, state = branch.parameter[-1], [float(part[-1, 0]) for part in branch.state]
+    assert value not in (SPEED, FORCE)
+    end, _, _ = by_scipy(name, branch.period[-1], start=state, **{argument: value})
+    np.testing.assert_allclose(end, state, atol=1e-8)
 
 
 def finds_an_equilibrium(name, model):

@@ -74,8 +74,8 @@ def exponents(chain):
 
 def near_hopf(chain):
     own = chain.with_(belt_speed=1.17)
-    points = jc.boundaries.hopf_points(own, (0.5, 3.0))
-    found = jc.find_limit_cycle(own, jc.boundaries.guess_from_hopf(own, points))
+    point = jc.boundaries.find_hopf_point(own, "belt_speed")
+    found = jc.find_limit_cycle(own, point.guess(0.27))
     return found.period, found.amplitude, jnp.abs(found.multipliers)
 
 
@@ -110,9 +110,9 @@ QUICK = {
         ).of_kind("hopf")[0].p,
         1e-9,
     ),
-    "first_lyapunov_coefficient": (
-        ONE,
-        lambda c: jc.boundaries.first_lyapunov_coefficient(c, 1.15, 1.0, jnp.ones(1, complex)),
+    "find_hopf_point criticality": (
+        THREE,
+        lambda c: jc.boundaries.find_hopf_point(c, "belt_speed").lyapunov_coefficient,
         1e-9,
     ),
     "cycle_symmetry": (
@@ -132,32 +132,26 @@ LONG = {
     ),
     "find_limit_cycle": (ONE, cycle, 2e-3),
     "find_limit_cycle unstable": (ONE, lambda c: cycle(c, "unstable"), 1e-8),
+    "continue_cycle": (
+        ONE,
+        lambda c: jc.continue_cycle(
+            jc.find_limit_cycle(c, branch="unstable"), direction=-1
+        ).of_kind("hopf")[0].parameter,
+        1e-8,
+    ),
     "guess_from_simulation": (
         ONE, lambda c: jc.cycles.guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
     ),
-    "guess_from_hopf": (ONE, near_hopf, 1e-8),
+    "find_limit_cycle near Hopf": (ONE, near_hopf, 1e-8),
     "edge_state": (ONE, edge, 1e-6),
     "loop": (ONE, motion, 5e-3),
     "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
-    "dry_fold_belt_speed": (ONE, jc.dry_fold_belt_speed, 1e-12),
-    "fold_belt_speeds": (
-        ONE,
-        lambda c: jc.boundaries.fold_belt_speeds(
-            c, over={"damping_ratio": [0.05, 0.06]}
-        ).fold_belt_speed.values,
-        1e-3,
-    ),
-    "find_fold": (ONE, lambda c: jc.boundaries.find_fold(c).period, 1e-3),
-    "find_grazing": (ONE, lambda c: jc.boundaries.find_grazing(c).period, 1e-12),
+    "find_fold": (ONE, lambda c: jc.find_fold(c).period, 1e-3),
     "extrapolated_fold": (ONE, lambda c: jc.boundaries.extrapolated_fold(c).value, 1e-12),
     "stability_range": (
         ONE, lambda c: jc.boundaries.stability_range(c, error_bars=True), 3e-3
     ),
-    "try_boundary": (ONE, lambda c: jc.boundaries.try_boundary(c, 1.7, time=50.0), 1e-12),
     "hopf_by_descent": (ONE, lambda c: jc.boundaries.hopf_by_descent(c).belt_speed, 1e-9),
-    "generalised_hopf": (
-        ONE, lambda c: jc.boundaries.generalised_hopf(c, "width", 0.05, 1.0).value, 1e-9,
-    ),
     "lyapunov_spectrum": (ONE, exponents, None),
     "verdict": (ONE, small_verdict, 1e-3),
     "front_speed": (
@@ -223,13 +217,11 @@ REFUSED = {
         lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
     ),
     "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
-    "continue_cycle": (lambda c: jc.continue_cycle(c, c_start(c), 6.0), "one belt speed to"),
     "find_special_cycle": (
         lambda c: jc.boundaries.find_special_cycle(cycle_branch(1).special[0], c),
         "give it a width",
     ),
-    "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_grazing`"),
-    "one_mass_branch": (jc.boundaries.one_mass_branch, "sliding_basin`"),
+    "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_fold`"),
     "phase_model": (
         lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None)), "give it a width"
     ),

@@ -16,7 +16,7 @@ from jaxchain import (
     sweep,
     verdict,
 )  # fmt: skip
-from jaxchain.boundaries import hopf_points, one_mass_branch
+from jaxchain.boundaries import hopf_points
 from jaxchain.localization import phase_model
 
 START = (jnp.full(1, 2.0), jnp.zeros(1))
@@ -38,7 +38,6 @@ def on_the_host(function):
     ("function", "instead"),
     [
         (lambda c: hopf_points(c).belt_speed[0], "`hopf_belt_speed`"),
-        (lambda c: one_mass_branch(c).belt_speed[0], "`find_limit_cycle`"),
         (lambda c: continue_cycle(c, START, 6.0).period[0], "`find_limit_cycle`"),
         (lambda c: phase_model(paper_chain(3, 1.2 + 0 * c.damping_ratio)).period, "`find_limit"),
         (lambda c: verdict(c, START).runs[0].energy, "`simulate`"),

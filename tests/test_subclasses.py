@@ -14,7 +14,7 @@ from systems.oscillators import Rayleigh, VanDerPol
 
 import jaxchain as jc
 from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
-from jaxchain.boundaries import dry_fold_belt_speed, find_equilibrium
+from jaxchain.boundaries import find_equilibrium
 from jaxchain.model import (
     AbstractCells,
     AbstractFrictionLaw,
@@ -146,7 +146,6 @@ def test_a_law_is_honoured_in_runs_and_sweeps(width):
 @pytest.mark.exhaustive
 def test_a_law_is_honoured_in_folds_cycles_and_branches():
     same(jc.hopf_belt_speed)
-    same(dry_fold_belt_speed)
     for width in (None, 1e-2):
         same(jc.fold_belt_speed, width=width)
         same(lambda chain: jc.find_limit_cycle(chain).period, width=width)
@@ -204,7 +203,7 @@ def test_forces_are_honoured_in_cycles_and_branches():
 def test_functions_for_a_belt_refuse_other_forces():
     field = Plain(jnp.asarray(0.3))
     for use in (
-        jc.hopf_belt_speed, jc.fold_belt_speed, dry_fold_belt_speed, swept,
+        jc.hopf_belt_speed, jc.fold_belt_speed, jc.find_fold, swept,
         lambda field: jc.simulate(field, (jnp.ones(1), jnp.ones(1)), 1.0, solver=jc.EventDriven()),
     ):  # fmt: skip
         with pytest.raises((ValueError, TypeError), match=r"\bChain\b"):

@@ -16,7 +16,7 @@ import jaxchain
 SHOWN = {
     *("Chain", "paper_chain", "simulate", "sweep", "EventDriven", "Rodas4", "Rodas5P"),
     *("Amplitude", "PeakTimes", "equation_8", "energy", "active", "continue_cycle"),
-    *("hopf_belt_speed", "fold_belt_speed", "dry_fold_belt_speed", "find_limit_cycle"),
+    *("hopf_belt_speed", "fold_belt_speed", "find_limit_cycle"),
     *("monodromy_matrix", "floquet_multipliers", "lyapunov_spectrum", "verdict"),
 }
 

@@ -18,10 +18,10 @@ def wild_sets(seed, count):
     return np.stack([xi, ratio, v_ref, logarithmic(1e-9, 0.2)], axis=1)
 
 
-def steep_sets(seed, count):
-    """The same with a steep weakening of friction: multipliers of slip cycles up to 1e17."""
+def steep_sets(seed, count, least=0.003):
+    """The same with a steep weakening of friction: multipliers up to 1e17, or 1e50 for 0.001."""
     rng, sets = np.random.default_rng(seed), wild_sets(seed, count)
-    sets[:, 2] = np.exp(rng.uniform(np.log(0.003), np.log(0.05), count))
+    sets[:, 2] = np.exp(rng.uniform(np.log(least), np.log(0.05), count))
     sets[:, 3] = sets[:, 2] * np.exp(rng.uniform(np.log(1e-6), np.log(1e-2), count))
     return sets
 

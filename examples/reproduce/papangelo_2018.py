@@ -9,8 +9,15 @@ mass.
 import numpy as np
 from _report import report
 
-from jaxchain import Amplitude, equation_8, equation_10, find_limit_cycle, paper_chain, sweep
-from jaxchain.boundaries import stability_range
+from jaxchain import (
+    Amplitude,
+    equation_8,
+    equation_10,
+    find_limit_cycle,
+    paper_chain,
+    stability_range,
+    sweep,
+)
 
 one = paper_chain(1, belt_speed=1.5, width=None)
 edges = stability_range(one)

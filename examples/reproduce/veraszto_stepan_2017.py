@@ -9,8 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from _report import report
 
-from jaxchain import Chain, ExponentialDecay, dry_fold_belt_speed, hopf_belt_speed
-from jaxchain.boundaries import find_grazing, one_mass_branch
+from jaxchain import Chain, ExponentialDecay, continue_cycle, find_fold, hopf_belt_speed
 from jaxchain.plotting import save_figure
 
 m, b0, k, C, C0, c_v, b_s = 0.538, 5.746, 6957.0, 2.0, 6.0, 10.0, 0.2  # kg, N, m, s
@@ -19,14 +18,18 @@ speed = C0 / k * omega  # m/s, the unit of speed; that of length is C0 / k
 law = ExponentialDecay(1.0, C / C0, v_ref=1 / (c_v * speed))
 rig = Chain(1, law, belt_speed=0.3 / speed, damping_ratio=(b0 + b_s) / (2 * m * omega))
 
-hopf, fold = (float(find(rig)) * speed for find in (hopf_belt_speed, dry_fold_belt_speed))
+dry = find_fold(rig)
+hopf, fold = float(hopf_belt_speed(rig)) * speed, float(dry.belt_speed) * speed
 cubic = 4 / c_v * (1 - np.sqrt(1 - c_v * 0.190616073 / 2))
 page, axes = plt.subplots(figsize=(3.4, 3.0), layout="constrained")
-branch = one_mass_branch(rig.with_(width=1e-3))
-points = np.array([branch.belt_speed * speed, branch.amplitude * C0 / k * 1e3])
-v, A = points[:, np.isfinite(points[0])]
-axes.plot(v[: v.argmax() + 1], A[: v.argmax() + 1], "--", label="slip, unstable")
-axes.plot(v[v.argmax() :], A[v.argmax() :], label="stick and slip")
+smooth = rig.with_(width=1e-3)
+top = find_fold(smooth)
+for side, line, label in ("slip", "--", "slip, unstable"), ("stick", "-", "stick and slip"):
+    branch = continue_cycle(
+        smooth.with_(belt_speed=top.belt_speed), top.state, top.period,
+        direction=side, max_step=0.1, bounds=(0.1, np.inf), keep_part=False,
+    )  # fmt: skip
+    axes.plot(branch.parameter * speed, branch.amplitude[:, 0] * C0 / k * 1e3, line, label=label)
 axes.axvspan(hopf, fold, alpha=0.1, label="bistable")
 axes.axvline(cubic, color="black", linestyle=":", label="fold to third order")
 axes.set(xlabel="belt speed (m/s)", ylabel="amplitude (mm)", xlim=(0.05, 0.35), ylim=(0, None))
@@ -37,5 +40,5 @@ report(
     ("Hopf speed, m/s", 0.190616073, hopf, 1e-9),
     ("fold to third order, from it, m/s", 0.313356, cubic, 1e-6),
     ("exact fold of the dry system, m/s", None, fold, None),
-    ("period there, ms", None, 1e3 * find_grazing(rig).period / omega, None),
+    ("period there, ms", None, 1e3 * dry.period / omega, None),
 )

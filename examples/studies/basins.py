@@ -99,7 +99,7 @@ def draw_one_mass(axes, sampled, exact):
     label = f"sampled, {sampled.starts} starts"
     axes.errorbar(sampled.belt_speed, sliding.share, bars, label=label, **look)
     chain, transform = jc.paper_chain(1, width=None), axes.get_xaxis_transform()
-    for name, find in {"Hopf": jc.hopf_belt_speed, "fold": jc.dry_fold_belt_speed}.items():
+    for name, find in {"Hopf": jc.hopf_belt_speed, "fold": jc.fold_belt_speed}.items():
         speed, look = float(find(chain)), {"color": common.GREY, "rotation": 90, "ha": "right"}
         axes.axvline(speed, color=common.GREY, lw=0.8, ls=":")
         axes.text(speed, 0.35, name, transform=transform, **look)

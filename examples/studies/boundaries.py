@@ -54,7 +54,7 @@ def boundaries(chain, rows):
             "hopf": jc.hopf_belt_speed(own),
             "hopf, dry": jc.hopf_belt_speed(own.with_(width=None)),
             "fold": jc.fold_belt_speed(own),
-            "fold, dry": jc.dry_fold_belt_speed(own),
+            "fold, dry": jc.fold_belt_speed(own.with_(width=None)),
         }
 
     return rows.assign(**jax.device_get(both({name: jnp.asarray(rows[name]) for name in rows})))
@@ -63,7 +63,7 @@ def boundaries(chain, rows):
 def dry_cycles():
     """(belt speeds, amplitudes) of a dry mass: of the unstable and of the stick-slip cycles."""
     chain = jc.paper_chain(1, width=None)
-    fold, hopf = jc.boundaries.find_grazing(chain), float(jc.hopf_belt_speed(chain))
+    fold, hopf = jc.find_fold(chain), float(jc.hopf_belt_speed(chain))
     top = float(fold.belt_speed)
 
     def amplitude(speed, start, time, window=None):
@@ -86,6 +86,20 @@ def dry_cycles():
     greatest = float(amplitude(fold.belt_speed, fold.state, fold.period))
     unstable = np.array([[hopf, *slow, top], [0.0, *small, greatest]])
     return unstable, np.array([[top, *fast], [greatest, *large]])
+
+
+def smoothed_cycles(chain):
+    """The same of a smoothed mass, from its fold in both directions."""
+    fold, sides = jc.find_fold(chain), []
+    start = chain.with_(belt_speed=fold.belt_speed), fold.state, fold.period
+    for direction in ("slip", "stick"):
+        side = jc.continue_cycle(
+            *start, direction=direction, step=0.02, max_step=0.1, bounds=(LOWEST, np.inf),
+            keep_part=False,
+        )  # fmt: skip
+        sides.append(np.array([side.parameter, side.amplitude[:, 0]]))
+    hopf = np.array([[float(jc.hopf_belt_speed(chain))], [0.0]])
+    return [np.append(hopf, sides[0][:, ::-1], axis=1), sides[1]]
 
 
 def draw_curve(axes, name, rows, meeting):
@@ -134,17 +148,15 @@ def main():
     rows = {name: every.loc[name] for name in curves}
     ring = jc.paper_chain(RING, width=PAPER["width"])
     rows["coupling"] = boundaries(ring, pd.DataFrame({"coupling": couplings}))
-    meetings = {}
+    meetings, hopf = {}, jc.boundaries.find_hopf_point(chain, "belt_speed")
     for name, values in CURVES.items():  # also a little beyond what is drawn
         ends = 0.9 * values[0], 1.1 * values[-1]
-        meeting = jc.boundaries.generalised_hopf(chain, name, *ends)
-        meetings[name] = float(meeting.value), float(meeting.belt_speed)
+        curve = jc.continue_special(hopf, name, bounds={name: ends}, max_step=1.0, keep_part=False)
+        for meeting in curve.of_kind("generalised Hopf"):
+            meetings[name] = meeting.second, meeting.first
     cycles = {"dry friction": dry_cycles()}
     for width in widths:
-        branch = jc.boundaries.one_mass_branch(chain.with_(width=width), LOWEST)
-        points = np.array([branch.belt_speed, branch.amplitude])
-        sides = points[:, : branch.fold + 1], points[:, branch.fold :]
-        cycles[rf"$\varepsilon = {width:g}$"] = [side[:, ~np.isnan(side[0])] for side in sides]
+        cycles[rf"$\varepsilon = {width:g}$"] = smoothed_cycles(chain.with_(width=width))
 
     for name, own in rows.items():
         print(own[[name, "hopf", "hopf, dry", "fold", "fold, dry"]].iloc[[0, -1]].to_string())

@@ -120,7 +120,7 @@ def predicted():
     detuning, worst, drifting = map(np.asarray, jax.jit(jax.vmap(grows))(jnp.asarray(speeds)))
     # Where masses die the detuning hardly depends on the belt speed.
     late = np.interp(0.93 * SHRINKS, speeds, detuning)
-    ways = {"detuning": late, "fold": jc.dry_fold_belt_speed}
+    ways = {"detuning": late, "fold": jc.fold_belt_speed}
     dies = partial(death_belt_speed, ALONE(), **ways)
     return speeds, worst, drifting, np.asarray(jax.jit(jax.vmap(dies))(jnp.asarray(DEATHS)))
 

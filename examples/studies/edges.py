@@ -128,7 +128,7 @@ def draw_one_mass(axes, beside, table):
     axes.plot(table["unstable cycle"], label="unstable cycle", **look)
     axes.plot(table["on the edge"], "o", color="black", ms=3, label="edge state")
     chain = jc.paper_chain(1, width=None)
-    for name, find in {"Hopf": jc.hopf_belt_speed, "fold": jc.dry_fold_belt_speed}.items():
+    for name, find in {"Hopf": jc.hopf_belt_speed, "fold": jc.fold_belt_speed}.items():
         axes.axvline(float(find(chain)), color=common.GREY, lw=0.7, ls=":")
         axes.text(float(find(chain)), 1.9, name, color=common.GREY, fontsize=6.5)
     axes.set(xlabel=common.SPEED, ylabel=common.AMPLITUDE, ylim=(0, None))

@@ -10,16 +10,9 @@ from .equilibria import find_hopf_point as find_hopf_point
 from .fold import Fold as Fold
 from .fold import find_fold as find_fold
 from .fold import fold_belt_speed as fold_belt_speed
-from .fold import fold_belt_speeds as fold_belt_speeds
 from .grazing import Grazing as Grazing
-from .grazing import dry_fold_belt_speed as dry_fold_belt_speed
-from .grazing import find_grazing as find_grazing
 from .hopf import hopf_belt_speed as hopf_belt_speed
-from .hopf_scan import GeneralisedHopf as GeneralisedHopf
 from .hopf_scan import HopfPoints as HopfPoints
-from .hopf_scan import first_lyapunov_coefficient as first_lyapunov_coefficient
-from .hopf_scan import generalised_hopf as generalised_hopf
-from .hopf_scan import guess_from_hopf as guess_from_hopf
 from .hopf_scan import hopf_points as hopf_points
 from .limit import Extrapolation as Extrapolation
 from .limit import extrapolate as extrapolate
@@ -28,9 +21,6 @@ from .modes import ComplexModes as ComplexModes
 from .modes import complex_modes as complex_modes
 from .ranges import StabilityRange as StabilityRange
 from .ranges import stability_range as stability_range
-from .ranges import try_boundary as try_boundary
-from .single_mass import OneMassBranch as OneMassBranch
-from .single_mass import one_mass_branch as one_mass_branch
 from .special_curves import CurvePoint as CurvePoint
 from .special_curves import SpecialCurve as SpecialCurve
 from .special_curves import SpecialCycle as SpecialCycle

@@ -20,7 +20,7 @@ from ..model.chain import Chain, require_smoothed
 from ..model.initial_states import check_mass
 from ..model.sliding import growth_rate
 from ..result import Outcome, SearchResult
-from .fold import first_guess, loose_rtol, value_and_jacobian
+from .fold import first_guess, forward_share, loose_rtol, value_and_jacobian
 
 
 @final
@@ -174,7 +174,7 @@ def fold_by_descent(
     1.79246
     """
     mass = check_mass(chain, mass)
-    require_smoothed(chain, "use `find_grazing`, or ", "chain")
+    require_smoothed(chain, "use `find_fold`, or ", "chain")
     check_positive_number("tolerance", tolerance, "1e-3 is usual.")
     if start is not None:
         check_number("start", start, "it is max w / eps of a cycle, some -3.")
@@ -204,7 +204,7 @@ def _ascend(
     def update(carry: tuple[Array, Any], _: None) -> tuple[tuple[Array, Any], tuple]:
         point, state = carry
         z = point[-1]
-        r, jacobian = value_and_jacobian(shooting, point)
+        r, jacobian = value_and_jacobian(shooting, forward_share(start, point), point)
         both = jnp.linalg.solve(jacobian[:, :-1], jnp.stack([r, jacobian[:, -1]], axis=1))
         q, tangent = point[:-1] - both[:, 0], -both[:, 1]
         slope = tangent[index] / width

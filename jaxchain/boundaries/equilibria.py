@@ -119,7 +119,12 @@ class HopfPoint(Outcome):
 
     @property
     def lyapunov_coefficient(self) -> Float[Array, ""]:
-        """l1, the first Lyapunov coefficient: see `lyapunov_coefficient`."""
+        """l1, the first Lyapunov coefficient, with derivatives.
+
+        If l1 < 0, a stable cycle grows out of the point (supercritical), if l1 > 0, an unstable
+        one.  NaN if several pairs of eigenvalues cross together.  Its size is that of
+        eigenvectors with <q, q> = <p, q> = 1, Euclidean.
+        """
         rates = Rates.of(self.chain, len(self.state))
         return lyapunov_coefficient(rates, jnp.concatenate(self.state), self.frequency)
 
@@ -192,18 +197,39 @@ def lyapunov_coefficient(
                                 + <p, B(q*, (2 i omega - J)^-1 B(q, q))> ],
 
     with the right and left eigenvectors q and p of i omega, <q, q> = <p, q> = 1 (Euclidean), and B
-    and C the second and third derivatives of the rates, from nested `jvp`.  If l1 < 0, a stable
-    cycle grows out of the point (supercritical), if l1 > 0, an unstable one.  NaN if several pairs
-    of eigenvalues cross together: the combination of modes is undetermined.
+    and C the second and third derivatives of the rates, from nested `jvp`.  On the centre manifold
+    y = w q + w* q*, and w' = (alpha + i omega) w + omega l1 w |w|^2, so that cycles of |w|^2 =
+    -alpha / (omega l1) branch off.  If l1 < 0, a stable cycle grows out of the point
+    (supercritical), if l1 > 0, an unstable one.  NaN if several pairs of eigenvalues cross
+    together: the combination of modes is undetermined.
 
     Source: Kuznetsov, Elements of Applied Bifurcation Theory, section 5.4.
     """
     J = jax.jacfwd(rates)(y)
-    values, vectors = jnp.linalg.eig(J)
+    values, vectors = jnp.linalg.eig(lax.stop_gradient(J))
     at = jnp.argmin(jnp.abs(values - 1j * frequency))
-    q = vectors[:, at] / jnp.linalg.norm(vectors[:, at])
-    p = jnp.linalg.solve(vectors.T, jnp.zeros_like(q).at[at].set(1.0))
-    p = p / (p @ q)
+    # Eigenvectors from a bordered matrix, which have derivatives; those of `eig` have none.
+    one = jnp.zeros(y.size + 1, complex).at[-1].set(1.0)
+    right, left = vectors[:, at], jnp.linalg.solve(vectors.T, jnp.zeros_like(values).at[at].set(1))
+    bordered = jnp.block([
+        [J - 1j * frequency * jnp.eye(y.size), jnp.conj(left)[:, None]],
+        [jnp.conj(right)[None], jnp.zeros((1, 1))],
+    ])  # fmt: skip
+    q, p = (jnp.linalg.solve(matrix, one)[:-1] for matrix in (bordered, bordered.T))
+    several = jnp.sum(jnp.abs(values - values[at]) <= _SAME * jnp.abs(values[at])) > 1
+    l1 = jnp.sum(jnp.real(lyapunov_terms(rates, y, frequency, q, p)))
+    return jnp.where(several, jnp.nan, l1)
+
+
+def lyapunov_terms(
+    rates: Any, y: Float[Array, " mn"], frequency: Any, q: Array, p: Array
+) -> Complex[Array, "three mn"]:
+    """Terms, the sum of whose real parts is the first Lyapunov coefficient of one mode.
+
+    `q` and `p`: the right and left eigenvectors, of any size; one may be chosen out of several.
+    """
+    J = jax.jacfwd(rates)(y)
+    q = q / jnp.linalg.norm(q)
 
     def along(function: Any, direction: Array) -> Any:
         """The derivative of a function along a complex direction."""
@@ -218,10 +244,12 @@ def lyapunov_coefficient(
     constant = jnp.linalg.solve(J.astype(q.dtype), second(y))
     doubled = 2j * frequency * jnp.eye(y.size) - J
     doubled = jnp.linalg.solve(doubled, along(along(rates, q), q)(y))
-    terms = along(second, q)(y) - 2.0 * along(along(rates, q), constant)(y)
-    terms = terms + along(along(rates, jnp.conj(q)), doubled)(y)
-    several = jnp.sum(jnp.abs(values - values[at]) <= _SAME * jnp.abs(values[at])) > 1
-    return jnp.where(several, jnp.nan, jnp.real(p @ terms) / (2.0 * frequency))
+    terms = [
+        along(second, q)(y),
+        -2.0 * along(along(rates, q), constant)(y),
+        along(along(rates, jnp.conj(q)), doubled)(y),
+    ]
+    return jnp.stack([p * term for term in terms]) / (p @ q * 2.0 * frequency)
 
 
 def find_equilibrium(
@@ -574,7 +602,7 @@ def _hopf_point(
     values, vectors = jnp.linalg.eig(jax.jacfwd(rates)(y, p))
     mode = vectors[:, jnp.argmin(jnp.abs(values - 1j * root.value[-2]))]
     point = HopfPoint(
-        chain=rates.at(p),
+        chain=live.at(u[-1]),
         parameter=parameter,
         value=u[-1],
         state=tuple(jnp.split(u[:-2], m)),

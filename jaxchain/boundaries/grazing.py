@@ -55,16 +55,15 @@ from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Bool, Float, Int
 
 from .._final import final
-from .._types import Given, ScalarLike, State
+from .._types import ScalarLike, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
 from ..continuation.elimination import solve
 from ..continuation.fold_points import fold_residual
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.averaging import Summits, dry_summits, graded, one_mass
+from ..cycles.averaging import Summits, dry_summits, graded, one_mass, speed_scale
 from ..cycles.phases import peak
 from ..model.chain import Chain, steady_sliding
-from ..model.initial_states import check_mass
 from ..model.sliding import damping_outweighs
 from ..result import Outcome, SearchResult
 from ..solvers.dormand_prince import step as step_of_order_8
@@ -75,16 +74,17 @@ from ..solvers.dormand_prince import step as step_of_order_8
 class GrazingSettings:
     """Constants of the search for the fold of dry friction.
 
-    - `coarse_steps`, `first_steps`, `most_steps`: equal steps in a period.  For the paper's fold,
-      16 steps give an error of 1e-9 and 64 one of rounding; they are doubled from `first_steps`
-      until the relative change of the fold is at most `settled`.
+    - `coarse_steps`, `most_steps`: equal steps in a period.  For the paper's fold, 16 steps give
+      an error of 1e-9 and 64 one of rounding; they are doubled until the relative change of the
+      fold is at most `settled`.  If friction weakens fast and the searches with half a period
+      `forward` fail, others run the whole period backward, with more steps.
     - `closed`: Newton's last step over |u|; `entries`: the most Jacobians of the whole search.
     - `least_stride`: the least step of the continuation from weaker friction, and in y = (greatest
       velocity / v_d)^2; `stationary`: the error of a maximum in y.
     """
 
-    coarse_steps: int = 32
-    first_steps: int = 64
+    coarse_steps: tuple[int, ...] = (32, 32, 256, 1024)
+    forward: tuple[float, ...] = (0.5, 0.5, 0.0, 0.0)
     most_steps: int = 1024
     settled: float = 1e-11
     closed: float = 1e-9
@@ -97,10 +97,14 @@ _SET = GrazingSettings()
 
 
 class GrazingOrbit(eqx.Module):
-    """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them."""
+    """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them.
+
+    `steps` are those of a period, `forward` the share of it that is run forward, a half or 0.
+    """
 
     chain: Chain
     steps: Int[Array, ""]
+    forward: Float[Array, ""]
     mass: int = eqx.field(static=True)
 
     def unpack(self, q: Float[Array, " m"], leaving: Any = 0.0) -> tuple[State, Array, Array]:
@@ -131,18 +135,19 @@ class GrazingOrbit(eqx.Module):
     def orbit(
         self, q: Float[Array, " m"], leaving: Any = 0.0, arriving: Any = 0.0
     ) -> tuple[State, Array]:
-        """(gap of the state half a period from the grazing, greatest velocity of each mass).
+        """(gap of the state where the runs should meet, greatest velocity of each mass).
 
-        It integrates forward and backward from the grazing point, to where the halves should meet.
-        Near the belt speed weakening friction drives motions apart, by rho = -V_+ / V_- in all, up
-        to 1e4 for a law that weakens fast.  Half of this growth is before the grazing, where
-        integration backward reverses it.
+        It integrates forward and backward from the grazing point.  Near the belt speed weakening
+        friction drives motions apart, by rho = -V_+ / V_- in all, up to 1e100 for a law that
+        weakens fast.  Half of this growth is before the grazing, where integration backward
+        reverses it; backward over the whole period it reverses all of it, in more steps.
         """
         (x, v), period, speed = self.unpack(q, leaving)
         chain = self.chain
         arrival = v.at[self.mass].add(arriving - leaving)
         start = jnp.stack([x, x]), jnp.stack([v, arrival])
-        ways = jnp.asarray([1.0, -1.0])
+        ways, parts = jnp.asarray([1.0, -1.0]), jnp.stack([self.forward, 1.0 - self.forward])
+        count = jnp.round(self.steps * parts[1]).astype(int)
 
         def acceleration(x: Array, v: Array) -> Array:
             return slip_force(chain, speed, v) + chain.restoring_force(x)
@@ -151,23 +156,22 @@ class GrazingOrbit(eqx.Module):
             return jnp.stack([flat[1], acceleration(*flat)])
 
         def time(k: Any) -> Array:
-            return period / (2.0 * jnp.pi) * graded(k * (2.0 * jnp.pi / self.steps))
+            return period / (2.0 * jnp.pi) * graded(k * (2.0 * jnp.pi / count) * parts)
 
         def step(k: Array, carry: Any) -> Any:
             begin, end = time(k), time(k + 1)
 
-            def one(way: Array, y: State, slope: Array, highest: Array) -> Any:
-                h = way * (end - begin)
+            def one(h: Array, y: State, slope: Array, highest: Array) -> Any:
                 flat, first = jnp.stack(y), jnp.stack([y[1], slope])
                 (x, v), _ = step_of_order_8(rate, flat, first, h)
                 new_slope = acceleration(x, v)
                 top = peak(y[1], v, h * slope, h * new_slope)
                 return (x, v), new_slope, jnp.maximum(highest, top)
 
-            return jax.vmap(one)(ways, *carry)
+            return jax.vmap(one)(ways * (end - begin), *carry)
 
         slopes = jax.vmap(acceleration)(*start)
-        end, _, highest = lax.fori_loop(0, self.steps // 2, step, (start, slopes, start[1]))
+        end, _, highest = lax.fori_loop(0, count, step, (start, slopes, start[1]))
         gap = end[0][0] - end[0][1], end[1][0] - end[1][1]
         return gap, lax.stop_gradient(jnp.max(highest, axis=0))
 
@@ -202,6 +206,12 @@ def grazing_slopes(
 
     slopes, (gap, highest) = jax.jacfwd(along, has_aux=True)(jnp.append(q, w + jnp.zeros(2)))
     return gap, slopes, highest
+
+
+def resolved(slopes: Float[Array, " two"]) -> Float[Array, " two"]:
+    """(V_+, V_-) with V_- = -1e-15 V_+ where rounding hides even its sign."""
+    least = 1e-15 * jnp.abs(slopes[0])
+    return slopes.at[1].set(jnp.where(jnp.abs(slopes[1]) < least, -least, slopes[1]))
 
 
 class BoundaryLayer(NamedTuple):
@@ -267,7 +277,7 @@ class DryFold(NamedTuple):
     grazing.  `layer_velocities`: dq / d(w_+, w_-) at this ratio; its last row is V_+ and V_- if
     the belt speed is stationary or the ratio is 1.  `is_fold`: whether the belt is faster than for
     all nearby slip cycles; if not, q is the smallest cycle reached.  `steps`: of `GrazingOrbit`,
-    in a period; `evaluations`: the number of Jacobians.
+    in a period, and `forward`, its share; `evaluations`: the number of Jacobians.
     """
 
     q: Float[Array, " m"]
@@ -275,6 +285,7 @@ class DryFold(NamedTuple):
     layer_velocities: Float[Array, "m two"]
     is_fold: Bool[Array, ""]
     steps: Int[Array, ""]
+    forward: Float[Array, ""]
     evaluations: Int[Array, ""]
 
     @property
@@ -327,37 +338,49 @@ def find_dry_fold(
     for each other, and the orbit is compiled once.
     """
 
-    def also(best: DryFold, guess: tuple[Array, Array, Array]) -> tuple[DryFold, None]:
-        ratio, speed, first = guess
+    def also(best: DryFold, guess: tuple[Array, ...]) -> tuple[DryFold, None]:
+        ratio, speed, first, steps, forward = guess
         # The second maximum of averaging is also tried if it is nearly as fast.
-        wanted = first | ~best.is_fold | (speed > 0.9 * summits.speeds[0])
-        new = _climb(chain, mass, alone, ratio, jnp.where(wanted, speed, jnp.nan), exact)
+        halves = forward > 0.0
+        wanted = (halves & (speed > 0.9 * summits.speeds[0])) | (~best.is_fold & (halves | steep))
+        speed = jnp.where(first | wanted, speed, jnp.nan)
+        new = _climb(GrazingOrbit(chain, steps, forward, mass), alone, ratio, speed, exact)
         slower = best.is_fold & (~new.is_fold | (best.q[-1] >= new.q[-1]))
         kept = slower | (jnp.isnan(new.q[-1]) & ~first)
         return where(kept, best, new)._replace(
             evaluations=best.evaluations + new.evaluations
         ), None
 
-    m, no, steps = 2 * chain.n, jnp.asarray(False), jnp.asarray(_SET.coarse_steps)
-    nan, none = jnp.full((m, 2), jnp.nan), jnp.zeros((), int)
-    nothing = DryFold(nan[:, 0], jnp.ones(()), nan, no, steps, none)
-    guesses = summits.ratios, summits.speeds, jnp.asarray([True, False])
+    steep = short_run(alone, speed_scale(alone, summits.touching)) < 0.5
+    m, no, none = 2 * chain.n, jnp.asarray(False), jnp.zeros((), int)
+    steps, forward = jnp.asarray(_SET.coarse_steps), jnp.asarray(_SET.forward)
+    nan = jnp.full((m, 2), jnp.nan)
+    nothing = DryFold(nan[:, 0], jnp.ones(()), nan, no, steps[0], forward[0], none)
+    again = jnp.asarray([0, 1, 0, 0])
+    guesses = summits.ratios[again], summits.speeds[again], jnp.arange(4) == 0, steps, forward
     return lax.scan(also, nothing, guesses)[0]
 
 
-def _climb(
-    chain: Chain, mass: int, alone: Chain, ratio: Array, speed: Array, exact: Any
-) -> DryFold:
+def short_run(alone: Chain, scale: Array) -> Array:
+    """Share of a period in which no disturbance grows by more than 1e8, at most a half.
+
+    `scale` is the `speed_scale`, over which friction weakens.
+    """
+    rate = 2.0 * alone.load * alone.law.mu_static / scale
+    return jnp.minimum(0.5, jnp.log(1e8) / rate * jnp.sqrt(alone.stiffness) / (2.0 * jnp.pi))
+
+
+def _climb(first: GrazingOrbit, alone: Chain, ratio: Array, speed: Array, exact: Any) -> DryFold:
     """`find_dry_fold` from the cycle of averaging with this ratio and belt speed."""
+    chain = first.chain
     rest = steady_sliding(eqx.tree_at(lambda c: c.belt_speed, chain, speed))
-    first = GrazingOrbit(chain, jnp.asarray(_SET.coarse_steps), mass)
     q = first.pack(rest, 2 * jnp.pi / jnp.sqrt(alone.stiffness), speed)
     zero, one, no = jnp.zeros(()), jnp.ones(()), jnp.asarray(False)
     nan, infinite = jnp.asarray(jnp.nan), jnp.asarray(jnp.inf)
     weights, unknown = jnp.ones_like(q), jnp.full((q.shape[0], 2), jnp.nan)
 
     def linearise(goal: Array, y: Array, steps: Array, q: Array) -> tuple[Array, Factors, Array]:
-        part = GrazingOrbit(weakened(chain, goal), steps, mass)
+        part = GrazingOrbit(weakened(chain, goal), steps, first.forward, first.mass)
         below = jnp.sqrt(y) - 1.0  # w / v_d
         value, slopes, _ = grazing_slopes(part, q, below * q[-1])
         slopes = slopes.at[:, -3].add(below * (slopes[:, -2] + slopes[:, -1]))
@@ -399,7 +422,6 @@ def _climb(
         enough = still | (now.steps >= _SET.most_steps) | ~jnp.asarray(exact)
         settled = lost | (summit & (enough | ~is_fold))
         refined = summit & ~settled
-        more = jnp.where(now.steps > _SET.coarse_steps, 2 * now.steps, _SET.first_steps)
         # With other steps the fold may lie outside the bracket, by a little.
         unbound = secant._replace(low=-infinite, high=infinite)
         secant = where(refined, unbound, where(climbs, secant, now.secant))
@@ -412,7 +434,7 @@ def _climb(
         # v_d sum(layer_velocities) is dq / d ratio.
         along = q[-1] * jnp.sum(layer_velocities, axis=1) * (jnp.sqrt(target) - jnp.sqrt(secant.y))
         guess = q + (goal - reached) * slope + jnp.where(target != secant.y, along, 0.0)
-        steps = jnp.where(refined, more, now.steps)
+        steps = jnp.where(refined, 2 * now.steps, now.steps)
         coarse = jnp.where(refined, root[-1], now.coarse)
         onward = _Way(
             *(q, slope, layer_velocities, reached, goal, secant, target, steps, coarse),
@@ -427,7 +449,8 @@ def _climb(
     )
     is_fold = last.settled & last.is_fold & (q[-1] > 0)
     return DryFold(
-        q, jnp.sqrt(last.secant.y), layer_velocities, is_fold, last.steps, last.evaluations
+        *(q, jnp.sqrt(last.secant.y), layer_velocities, is_fold, last.steps, first.forward),
+        last.evaluations,
     )
 
 
@@ -484,9 +507,12 @@ class Grazing(Outcome):
       mass.
     - `touches`: whether the mass reaches the belt speed, so that the fold is a grazing; otherwise
       it is a smooth saddle-node of slip cycles.
+    - `scaled_peak_velocity`: the limit for width 0 of the one of a `Fold`: 0 if the mass reaches
+      the belt speed, else -inf; `width`: 0.
     - `slope_plus`, `slope_minus`: V_+ and V_-, the slopes of the belt speed in the relative
       velocities after and before the grazing.  For one mass -V_+ / V_- is the multiplier of the
-      slip cycle, about 2 at a grazing and 1 at a saddle-node.
+      slip cycle, about 2 at a grazing and 1 at a saddle-node; it is 1e15 if rounding hides V_-,
+      which has no effect there.
     - `deceleration`: kappa = -v_j'', the rate at which the acceleration of the mass falls there;
       `static_force`: the greatest friction force on it, p mu_st.
     - `residual`: the greatest gap after a period over the belt speed; `evaluations`: the number of
@@ -497,7 +523,7 @@ class Grazing(Outcome):
 
     `belt_speed`, `period` and `state` are differentiable; the rest is not.
 
-    See `find_grazing` for an example.
+    See `find_fold` for an example.
     """
 
     belt_speed: Float[Array, ""]
@@ -514,6 +540,16 @@ class Grazing(Outcome):
     chain: Chain
     mass: int = eqx.field(static=True)
 
+    @property
+    def scaled_peak_velocity(self) -> Float[Array, "*batch"]:
+        """0 if the mass reaches the belt speed, else -inf."""
+        return jnp.where(self.touches, 0.0, -jnp.inf)
+
+    @property
+    def width(self) -> Float[Array, "*batch"]:
+        """0, the regularization width of dry friction."""
+        return jnp.zeros_like(self.belt_speed)
+
     def smoothed(self, width: ScalarLike) -> Float[Array, ""]:
         """The fold of smoothed friction to O(width^(3/2)); NaN if none was found.
 
@@ -526,50 +562,6 @@ class Grazing(Outcome):
         return self.belt_speed + slopes.shift(width)
 
 
-def dry_fold_belt_speed(chain: Chain, mass: Given[int | None] = None) -> Float[Array, ""]:
-    """The greatest belt speed at which the vibration of one mass survives, for dry friction.
-
-    This is the limit of `fold_belt_speed` for width 0, computed directly: the grazing-sliding fold
-    or, if mu'(0) = 0, a saddle-node of slip cycles.  Mass `mass` vibrates, the others slide.
-
-    **Arguments:** `chain`; its `belt_speed` and width are ignored.  `mass`, the index (from 0) of
-    the mass, by default n // 2, oscillator 11 of 20.
-
-    **Returns:** the dimensionless v_d, with a relative error of about 1e-11; NaN if there is no
-    fold or none is found.  `find_grazing` returns its kind, or the reason.  Works under `jit`,
-    `vmap`, `grad`, `jvp` and `jax.hessian`, in every parameter of the chain.
-
-    **Raises:** `ValueError` for anything but a `Chain`, or a mass it does not have.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import dry_fold_belt_speed, paper_chain
-    >>> round(float(dry_fold_belt_speed(paper_chain(n=1))), 9)
-    1.836600972
-    """
-    return find_grazing(chain, mass).belt_speed
-
-
-def find_grazing(chain: Chain, mass: Given[int | None] = None) -> Grazing:
-    """The fold of `dry_fold_belt_speed` with its cycle.
-
-    Arguments, errors and transformations are those of `dry_fold_belt_speed`.  If another mass
-    reaches the belt speed, `belt_speed` is NaN.
-
-    **Returns:** a `Grazing`.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import find_grazing
-    >>> grazing = find_grazing(paper_chain(n=1))
-    >>> bool(grazing.successful), round(float(grazing.smoothed(1e-3)), 4)
-    (True, 1.8311)
-    """
-    mass = check_mass(chain, mass)
-    return _find(chain, mass)
-
-
 def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> SearchResult:
     """The reason why no fold was found: `failed`, unless none is expected."""
     of = SearchResult
@@ -579,14 +571,15 @@ def without_fold(failed: SearchResult, exists: Any, damped: Any, none: Any) -> S
 
 
 @eqx.filter_jit
-def _find(chain: Chain, mass: int) -> Grazing:
+def find_grazing(chain: Chain, mass: int) -> Grazing:
+    """The fold of dry friction; the width of `chain` is ignored."""
     fixed = lax.stop_gradient(chain)
     alone = one_mass(fixed, mass)
     summits = dry_summits(alone)
     dry = find_dry_fold(fixed, mass, alone, summits)
-    grazing = GrazingOrbit(fixed, dry.steps, mass)
+    grazing = GrazingOrbit(fixed, dry.steps, dry.forward, mass)
     gap, slopes, highest = grazing_slopes(grazing, dry.q, dry.w)
-    slope_plus, slope_minus = -solve(slopes[:, :-2], slopes[:, -2:])[-1]
+    slope_plus, slope_minus = resolved(-solve(slopes[:, :-2], slopes[:, -2:])[-1])
     (_, v), _, speed = grazing.unpack(dry.q, dry.w)
     deceleration = grazing.deceleration(v)
     slides = jnp.all(highest <= (1.0 + 1e-9) * speed)
@@ -594,6 +587,8 @@ def _find(chain: Chain, mass: int) -> Grazing:
     folds = dry.is_fold & (slope_minus < 0) & (deceleration > 0)
     at_speed = eqx.tree_at(lambda c: c.belt_speed, fixed, speed)
     folds = folds & at_speed.can_be_cycle(jnp.exp(dry.q[-2]), jnp.abs(v))
+    # Where steps do not resolve the weakening of friction, Newton's steps can end at no cycle.
+    folds = folds & (jnp.max(jnp.abs(gap)) < 1e-6)
     exists = jnp.isfinite(speed) & slides & folds
     of = SearchResult
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
@@ -605,7 +600,7 @@ def _find(chain: Chain, mass: int) -> Grazing:
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
     left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
-    args = GrazingOrbit(chain, dry.steps, mass), (left[:, -1], right[-1]), touches
+    args = GrazingOrbit(chain, dry.steps, dry.forward, mass), (left[:, -1], right[-1]), touches
     z = if_found(exists, attach_derivative(_fold_equations, z, args))
     state, period, speed = args[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(

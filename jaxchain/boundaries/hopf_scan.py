@@ -1,16 +1,10 @@
 """Every Hopf point of steady sliding in a range of belt speeds, and its criticality.
 
-**Super- or subcritical?**  The sign of the first Lyapunov coefficient l1 decides.  The force on a
-mass depends on that mass's velocity only, so the second and third derivatives of the vector field,
-as forms B and C, are B(a, b)_n = g_n'' a_n b_n and C(a, b, c)_n = g_n''' a_n b_n c_n in the
-velocities, and nothing in the displacements.  They come from nested `jvp` and hold for complex
-vectors, because they are multilinear.
-
-Where l1 = 0 the fold of cycles meets the Hopf point, the generalised Hopf (Bautin) point.  Along
+Where l1 = 0, the generalised Hopf (Bautin) point, the fold of cycles meets the Hopf point.  Along
 the Hopf curve in the plane of the belt speed and another number, vibration sets in abruptly if l1
 is positive, with a bistable range up to the fold; and gradually if l1 is negative, without a
 fold.  At l1 = 0 the fold ends, tangentially to the Hopf curve (Kuznetsov, Elements of Applied
-Bifurcation Theory, section 8.3).
+Bifurcation Theory, section 8.3).  `continue_special` finds these points.
 
 For one mass l1 has the sign of F'''(-v_d).  Dry friction that weakens exponentially has F''' > 0
 throughout, so that its fold and Hopf point meet only at v_d = 0.  Smoothed friction mu tanh(v_d /
@@ -23,7 +17,7 @@ and the damping there is about p (mu_st - mu_d) / (2 v_0), that of dry friction 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -34,27 +28,12 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 from scipy.optimize import root_scalar
 
-from .._checks import (
-    as_array,
-    check_concrete,
-    check_finite,
-    check_kind,
-    check_one_of,
-    check_pair,
-    check_positive_number,
-    check_whole,
-    is_traced,
-    shown,
-)
+from .._checks import check_concrete, check_finite, check_pair
 from .._final import final
-from .._types import ArrayLike, Given, ScalarLike
-from ..continuation.damped_newton import linearised, newton, solve
-from ..continuation.implicit import attach_derivative
-from ..cycles.limit_cycle import Guess
-from ..model.arguments import as_chain, as_mass
+from .._types import ArrayLike, Given
+from ..continuation.damped_newton import linearised, solve
+from ..model.arguments import as_chain
 from ..model.chain import Chain, map_numbers, steady_sliding
-from ..model.initial_states import check_mass
-from ..model.parameters import CHAIN
 from ..model.sliding import (
     GREATEST_SPEED,
     crossing_matrix,
@@ -66,99 +45,10 @@ from ..model.sliding import (
     sliding_damping,
     stiffness_matrix,
 )
-from ..result import Outcome, Printed, SearchResult
-from .hopf import hopf_belt_speed
+from ..result import Printed
+from .equilibria import Rates, lyapunov_terms
 
 _SAME = 1e-8  # relative difference of speeds and frequencies of one point
-
-
-def first_lyapunov_coefficient(
-    chain: Chain,
-    belt_speed: ScalarLike,
-    frequency: ScalarLike,
-    shape: Complex[Array, " {chain.n}"],
-    left: Complex[Array, " {chain.n}"] | None = None,
-) -> Float[Array, ""]:
-    """l1 of a Hopf point of steady sliding; negative: supercritical, positive: subcritical.
-
-    With q = (u, i omega u) and p the right and left eigenvectors, <q, q> = <p, q> = 1, and J the
-    Jacobian,
-
-        l1 = 1 / (2 omega) Re [ <p, C(q, q, q*)> - 2 <p, B(q, J^-1 B(q, q*))>
-                                + <p, B(q*, (2 i omega - J)^-1 B(q, q))> ].
-
-    The middle term is zero: a constant force displaces the masses but gives them no velocity. The
-    size of l1 depends on the normalisation, here <q, q> = 1, Euclidean, over (x, v).  On the
-    centre manifold (x, v) = w q + w* q*, and w' = (alpha + i omega) w + omega l1 w |w|^2, so that
-    cycles of |w|^2 = -alpha / (omega l1) branch off; see `square_amplitude_slope`.
-
-    **Arguments:** the Hopf point (|v_d| counts), `shape` = u, over the masses, of any length;
-    `left`, the left null vector l of K - omega^2 + i omega D, l^T A = 0, by default u, which is
-    right for a simple pair, A being complex symmetric.  For a wave that travels around a
-    homogeneous ring, one of a pair q, -q, it is conj u; for a standing wave u, real.  Each of
-    these waves lies in a subspace that is invariant by symmetry, so the formula holds for each.
-
-    F is smooth except at w = 0, that is v_d = 0, which is not a Hopf point.
-
-    Source: Kuznetsov, Elements of Applied Bifurcation Theory, eq. (3.20) for the plane and
-    section 5.4 for any dimension.
-
-    **Returns:** l1, a number.
-
-    >>> import jax, jax.numpy as jnp
-    >>> from jaxchain import paper_chain
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain.boundaries import first_lyapunov_coefficient
-    >>> one = jnp.ones(1, dtype=complex)
-    >>> l1 = first_lyapunov_coefficient(paper_chain(1), jnp.log(10.0) / 2, 1.0, one)
-    >>> round(float(l1), 12)  # F''' / 8, F''' = (mu_st - mu_d) exp(-v_H / v0) / v0^3 = 0.4
-    0.05
-    """
-    return jnp.real(jnp.sum(_terms(chain, belt_speed, frequency, shape, left)))
-
-
-def _mode(name: str, mode: Any, n: int) -> Array:
-    """A shape of n complex amplitudes; NaN, from a failed search, is allowed."""
-    dtype = getattr(mode, "dtype", None)
-    number = dtype is not None and jnp.issubdtype(dtype, jnp.number)
-    if not number or mode.shape != (n,):
-        raise ValueError(
-            f"Argument `{name}` must be an array of {n} complex numbers, one per mass, but is "
-            f"{shown(mode)}: see `hopf_points` for mode shapes."
-        )
-    return mode
-
-
-def _terms(
-    chain: Chain, belt_speed: ScalarLike, frequency: ScalarLike, shape: Array, left: Array | None
-) -> Array:
-    """Terms with Re(their sum) = l1, mass by mass; of shape (2 n,)."""
-    as_chain(chain)
-    belt_speed = as_array("belt_speed", belt_speed, 0, 0)
-    frequency = as_array("frequency", frequency, 0, 0)
-    shape = _mode("shape", shape, chain.n)
-    left = shape if left is None else _mode("left", left, chain.n)
-    moving = chain.with_(belt_speed=jnp.abs(belt_speed))
-    zero = jnp.zeros(chain.n)
-
-    def derivative(f: Callable[[Array], Array]) -> Callable[[Array], Array]:
-        return lambda v: jax.jvp(f, (v,), (jnp.ones_like(v),))[1]
-
-    second = derivative(derivative(lambda v: moving.local_force(0.0, zero, v)))
-    B, C = second(zero), derivative(second)(zero)
-    D = jnp.broadcast_to(sliding_damping(chain, jnp.asarray(belt_speed)), (chain.n,))
-    K = stiffness_matrix(chain).astype(shape.dtype)
-
-    size = jnp.sqrt((1.0 + frequency**2) * jnp.sum(jnp.abs(shape) ** 2))
-    u = shape / size
-    v = 1j * frequency * u
-    # The velocities of the left eigenvector; the displacements follow from them.
-    p = left / jnp.sum(left * (2j * frequency + D) * u)
-    # (2 i omega - J)^-1 (0, f), its velocities.
-    doubled = K - jnp.diag(4.0 * frequency**2 - 2j * frequency * D)
-    response = 2j * frequency * jnp.linalg.solve(doubled, B * v * v)
-    terms = [p * C * v * v * jnp.conj(v), p * B * jnp.conj(v) * response]
-    return jnp.concatenate(terms) / (2.0 * frequency)
 
 
 @eqx.filter_jit
@@ -167,119 +57,29 @@ def _numbers(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """(l1, l1 over the sizes of its terms, growth slope, that of dry friction, d(A^2) / d|v_d|).
 
+    - `u`, and `left`, the left null vector of K - omega^2 + i omega D: for a simple pair u itself,
+      because that matrix is symmetric; for a wave that travels around a homogeneous ring, one of a
+      pair q, -q, conj u; for a standing wave u, real.  Each of these waves lies in a subspace that
+      is invariant by symmetry, so l1 is that of cycles in it.
     - If a coefficient is exactly zero, the sum of its terms consists of rounding errors.
     - lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
     - A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, A the
       greatest amplitude, and |w|^2 = -alpha' (v_d - v_H) / (omega l1).
     """
-    terms = _terms(chain, speed, frequency, u, left)
-    l1, size = jnp.real(jnp.sum(terms)), jnp.sum(jnp.abs(terms))
     one = jnp.ones_like(speed)
     D, changes = jax.jvp(lambda s: sliding_damping(chain, s), (speed,), (one,))
+    moving = chain.with_(belt_speed=speed)
+    y = jnp.concatenate(steady_sliding(moving))
+    q = jnp.concatenate([u, 1j * frequency * u])
+    p = jnp.concatenate([(1j * frequency + D) * left, left])
+    terms = lyapunov_terms(Rates.of(moving, 2), y, frequency, q, p)
+    l1, size = jnp.real(jnp.sum(terms)), jnp.sum(jnp.abs(terms))
     _, dry = jax.jvp(lambda s: dry_damping(chain, s), (speed,), (one,))
     weight = left * u / jnp.sum(left * (2j * frequency + D) * u)
     slope, dry = (jnp.real(jnp.sum(-1j * frequency * d * weight)) for d in (changes, dry))
     square = jnp.sum(jnp.abs(u) ** 2) * (1.0 + frequency**2)
     rise = -4.0 * jnp.max(jnp.abs(u)) ** 2 * slope / (square * frequency * l1)
     return l1, l1 / jnp.where(size > 0, size, 1.0), slope, dry, rise
-
-
-@final
-class GeneralisedHopf(Outcome):
-    """A Hopf point with l1 = 0, at `value` of the parameter; NaN unless `successful`.
-
-    - `value` and `belt_speed`, dimensionless: the point at which the fold ends on the Hopf curve.
-    - `result`: a `SearchResult`, no_meeting if l1 has one sign between `low` and `high`.
-
-    See `generalised_hopf` for an example.
-    """
-
-    value: Float[Array, ""]
-    belt_speed: Float[Array, ""]
-    result: SearchResult
-
-
-def generalised_hopf(
-    chain: Chain, parameter: Given[str], low: Given[ScalarLike], high: Given[ScalarLike]
-) -> GeneralisedHopf:
-    """The generalised Hopf (Bautin) point of one mass: l1 = 0, the end of the fold.
-
-    Solves d(v_d) = 0, l1 = 0 in (v_d, parameter): successively finer logarithmic grids between
-    `low` and `high` bracket the last change of sign of l1 along `hopf_belt_speed`; then Newton's
-    method converges.
-
-    **Arguments:** `chain` of one mass; `parameter`, the name of the varied number, such as
-    "damping_ratio", "mu_static" or "width"; `low`, `high`, its positive bounds.
-
-    **Returns:** both dimensionless numbers, differentiable in every other parameter of the chain.
-    Works under `jit` and `vmap`.
-
-    **Raises:** `ValueError` for a chain of several masses, an unknown name or a bad interval.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import generalised_hopf
-    >>> meeting = generalised_hopf(paper_chain(n=1), "width", 0.05, 1.0)
-    >>> round(float(meeting.value), 3)  # with wider layers vibration sets in gently
-    0.349
-    """
-    check_mass(chain, 0)
-    if chain.n != 1:
-        raise ValueError(f"Argument `chain` must have one mass, but has {chain.n}.")
-    per_mass = [name for name, row in CHAIN.items() if row.per == "mass"]
-    names = {*per_mass, *chain.friction.parameters(), "width"}
-    check_one_of("parameter", parameter, sorted(names))
-    for name, end in (("low", low), ("high", high)):
-        check_positive_number(name, end, "the values in between are spaced by their logarithm.")
-    if not is_traced(low, high) and float(low) >= float(high):
-        raise ValueError(f"Argument `low` = {low} must be below `high` = {high}.")
-    return _meeting(chain, parameter, jnp.asarray(low, float), jnp.asarray(high, float))
-
-
-@eqx.filter_jit
-def _meeting(chain: Chain, parameter: str, low: Array, high: Array) -> GeneralisedHopf:
-    fixed = jax.tree.map(lax.stop_gradient, chain)
-
-    def coefficient(chain: Chain, belt_speed: Array) -> Array:
-        """l1 of one mass, whose modes are all alike."""
-        one = jnp.ones(1, dtype=complex)
-        return first_lyapunov_coefficient(chain, belt_speed, jnp.sqrt(chain.stiffness), one)
-
-    def l1_on_the_hopf_curve(logarithm: Array) -> Array:
-        varied = fixed.with_(**{parameter: jnp.exp(logarithm)})
-        return coefficient(varied, hopf_belt_speed(varied))
-
-    def zoom(_: Any, now: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """The last interval of a grid in which l1 changes sign, or in which the curve ends."""
-        low, high, _ = now
-        grid = jnp.linspace(low, high, 48)
-        kinds = jax.vmap(l1_on_the_hopf_curve)(grid)
-        left, right = kinds[:-1], kinds[1:]
-        changes = left * right <= 0  # false for NaN
-        changed = jnp.any(changes)
-        ends = jnp.isnan(left) != jnp.isnan(right)
-        at = jnp.max(jnp.where(jnp.where(changed, changes, ends), jnp.arange(47), -1))
-        return grid[at], grid[at + 1], changed
-
-    def system(u: Float[Array, "2"], args: tuple[Chain, Array]) -> Float[Array, "2"]:
-        """(d, l1) over (value of the parameter, belt speed), in units."""
-        chain, unit = args
-        value, speed = u * unit
-        varied = chain.with_(**{parameter: value})
-        return jnp.stack([sliding_damping(varied, speed), coefficient(varied, speed)])
-
-    # For a small width the zero of l1 lies close to the end of the Hopf curve.
-    ends = jnp.log(low), jnp.log(high), jnp.asarray(False)
-    start, _, changed = lax.fori_loop(0, 5, zoom, ends)
-    value = jnp.exp(start)
-    unit = jnp.stack([value, hopf_belt_speed(fixed.with_(**{parameter: value}))])
-    # The error of third derivatives at a width eps is rounding over eps^3.
-    root = newton(system, jnp.ones(2), (fixed, unit), tolerance=1e-8)
-    result = SearchResult.where(changed, root.result, SearchResult.no_meeting)
-    value = jnp.where(changed & root.successful, root.value, jnp.nan)
-    value, speed = attach_derivative(system, value, (chain, unit)) * unit
-    return GeneralisedHopf(value=value, belt_speed=speed, result=result)
 
 
 class Crossing(NamedTuple):
@@ -498,8 +298,8 @@ class HopfPoints(Printed, eqx.Module):
       -q.
     - `growth_slope`: d Re(lambda) / d|v_d|.
     - `direction`: "falling speed" if the mode starts to grow as |v_d| falls, else "growing speed".
-    - `lyapunov_coefficient` = l1 as in `first_lyapunov_coefficient`, of the travelling wave where
-      there is a pair q, -q; `standing_lyapunov_coefficient`, that of the standing wave cos(q n),
+    - `lyapunov_coefficient` = l1 as of a `HopfPoint`, of the travelling wave where there is a pair
+      q, -q; `standing_lyapunov_coefficient`, that of the standing wave cos(q n),
       and the same as l1 where there is no pair.  NaN, and `criticality` "undetermined", where
       several modes cross together at one frequency in a chain that is not a homogeneous ring.
     - `criticality`, `standing_criticality`: "supercritical" (stable cycles grow out of the point,
@@ -646,59 +446,3 @@ def _criticality(relative: float) -> str:
     if abs(relative) <= 1e-9:  # zero up to rounding
         return "degenerate"
     return "supercritical" if relative < 0 else "subcritical"
-
-
-def guess_from_hopf(
-    chain: Chain,
-    points: HopfPoints,
-    index: int = 0,
-    amplitude: Given[ScalarLike | None] = None,
-    mass: int | None = None,
-) -> Guess:
-    """The small cycle that branches off Hopf point `index` of `points`, at the chain's belt speed.
-
-    x = x_s + A Re[u exp(i omega t)], when mass `mass` (by default the one that moves most)
-    is fastest in the direction of the belt.
-
-    **Arguments:** `points` from `hopf_points(chain, ...)`; `amplitude` = A > 0 of displacement, of
-    the mass that moves most, by default what `square_amplitude_slope` predicts.
-
-    **Returns:** ((x, v), period), as `find_limit_cycle` takes them; x and v of shape (n,).
-
-    **Raises:** `ValueError` if there is no such point, or no small cycle at this belt speed: a
-    subcritical cycle exists on the stable side of its point.
-
-    >>> import jax
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import guess_from_hopf, hopf_points
-    >>> chain = paper_chain(1, belt_speed=1.2)
-    >>> (x, v), period = guess_from_hopf(chain, hopf_points(chain, (1.0, 2.0)))
-    >>> round(float(v[0]), 3), round(float(period), 3)
-    (0.441, 6.283)
-    """
-    as_chain(chain)
-    remedy = "`hopf_points(chain)` makes them."
-    check_kind("points", points, HopfPoints, "the `HopfPoints` of the chain", remedy)
-    count = len(points.kind)
-    check_whole("index", index, 0, count - 1, "it is that of a Hopf point.")
-    shape, omega = points.mode_shape[index], points.frequency[index]
-    if amplitude is None:
-        past = jnp.abs(chain.belt_speed) - jnp.abs(points.belt_speed[index])
-        square = points.square_amplitude_slope[index] * past
-        if not is_traced(square) and not square > 0:
-            raise ValueError(
-                f"Argument `chain` has belt speed {float(chain.belt_speed):g}, but the small "
-                f"cycles at the Hopf point of {float(points.belt_speed[index]):g} lie on its "
-                "other side, or its Lyapunov coefficient is not known. Change `belt_speed`, or "
-                "give an `amplitude`."
-            )
-        amplitude = jnp.sqrt(square)
-    check_positive_number("amplitude", amplitude, "0.1 is usual.")
-    mass = as_mass(chain.n, mass)
-    mass = int(jnp.argmax(jnp.abs(shape))) if mass is None else mass
-    moving = 1j * omega * shape
-    phase = chain.belt_direction() * jnp.conj(moving[mass]) / jnp.abs(moving[mass])
-    x, _ = steady_sliding(chain)
-    disturbed = x + amplitude * jnp.real(shape * phase)
-    return (disturbed, amplitude * jnp.real(moving * phase)), 2 * jnp.pi / omega

@@ -29,8 +29,7 @@ from ..cycles.averaging import dry_summits, one_mass, speed_scale
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..result import Printed, SearchResult
-from .fold import fold_speed_and_peak
-from .grazing import find_grazing
+from .fold import find_fold, fold_speed_and_peak
 
 # The widths of `extrapolated_fold` over the speed of the problem.
 _WIDTHS = 6e-4 * 2.0 ** np.arange(6)
@@ -185,10 +184,10 @@ def extrapolated_fold(
 
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import dry_fold_belt_speed, paper_chain
+        >>> from jaxchain import fold_belt_speed, paper_chain
         >>> from jaxchain.boundaries import extrapolated_fold
         >>> limit = extrapolated_fold(paper_chain(n=1))
-        >>> exact = dry_fold_belt_speed(paper_chain(n=1))
+        >>> exact = fold_belt_speed(paper_chain(n=1, width=None))
         >>> round(float(limit.value), 5), bool(abs(limit.value - exact) < limit.error < 1e-4)
         (1.8366, True)
     """
@@ -198,7 +197,7 @@ def extrapolated_fold(
 
 def fold_and_limit(chain: Chain, mass: int) -> tuple[Array, SearchResult, Extrapolation, Array]:
     """(fold at the chain's width, its result, limit of width 0, dry fold)."""
-    dry = find_grazing(chain, mass)
+    dry = find_fold(chain.with_(width=None), mass)
     limit, folds, results = _limit(chain, mass, width=None if chain.dry else chain.width)
     if chain.dry:
         return dry.belt_speed, dry.result, limit, dry.belt_speed

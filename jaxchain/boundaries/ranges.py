@@ -8,20 +8,15 @@ decides.
 from __future__ import annotations
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
-from .._checks import check_flag, check_positive_number, is_traced, to_float
+from .._checks import check_flag, is_traced
 from .._final import final
-from .._types import Given, ScalarLike
+from .._types import Given
 from ..model.chain import Chain
-from ..model.initial_states import check_mass, on_the_belt
-from ..observers.amplitude import Amplitude
-from ..observers.quantities import active
-from ..result import Outcome, Printed, SearchResult, advice_of
-from ..simulation.event_driven import EventDriven
-from ..simulation.run import simulate
+from ..model.initial_states import check_mass
+from ..result import Outcome, SearchResult, advice_of
 from .fold import fold_speed_and_peak
 from .hopf import hopf_belt_speed
 from .limit import fold_and_limit
@@ -31,7 +26,6 @@ NO_HOPF = (
     "steady sliding is stable at every belt speed, or at no high one: friction weakens too little "
     "for the damping, or damping does not exceed 0"
 )
-_WINDOW = 20.0  # in which amplitudes are taken
 
 
 @final
@@ -115,8 +109,7 @@ def stability_range(
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain import paper_chain
-    >>> from jaxchain.boundaries import stability_range
+    >>> from jaxchain import paper_chain, stability_range
     >>> speeds = stability_range(paper_chain(n=1, width=None))
     >>> round(float(speeds.hopf), 6), round(float(speeds.fold), 6), round(float(speeds.width), 6)
     (1.151293, 1.836601, 0.685308)
@@ -170,91 +163,3 @@ def _range(chain: Chain, mass: int, error_bars: bool) -> StabilityRange:
         mass=mass,
         **bars,
     )
-
-
-class BoundaryTrial(Printed, eqx.Module):
-    """Two runs of one vibrating mass, a little below and a little above a belt speed.
-
-    `speeds`; `amplitudes` at the end, one row of n per speed; `vibrates`: whether the mass still
-    vibrates; `holds`: whether it vibrates below and not above.
-    """
-
-    speeds: Float[Array, " two"]
-    amplitudes: Float[Array, "two n"]
-    vibrates: Bool[Array, " two"]
-    holds: Bool[Array, ""]
-
-
-def try_boundary(
-    chain: Chain,
-    belt_speed: Given[ScalarLike],
-    mass: Given[int | None] = None,
-    *,
-    margin: Given[ScalarLike] = 0.01,
-    time: Given[ScalarLike] = 400.0,
-) -> BoundaryTrial:
-    """Tests a boundary by two event-driven runs with dry friction.
-
-    One mass starts on the belt, which carries it along, at belt speeds v (1 - margin) and v (1 +
-    margin), and runs for `time`.  At a correct boundary the vibration survives below and dies out
-    above.  With strongly coupled neighbours (0.05 for three equal masses) the vibration from this
-    start may die out although another start would not.  It works under `jit` and `vmap`.
-
-    **Arguments:** (dimensionless) `belt_speed` v, the boundary to test; `mass`, the index of the
-    mass, by default n // 2; `margin`, relative to v; `time`, long enough to die out: some
-    multiples of 1 / xi.
-
-    **Returns:** a `BoundaryTrial`: `speeds` (2,), `amplitudes` (2, n) at the ends, `vibrates`
-    (2,), and `holds`, whether the mass vibrates below and not above.
-
-    **Raises:** `ValueError` for a speed, margin or time that is not positive.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import dry_fold_belt_speed, paper_chain
-        >>> from jaxchain.boundaries import try_boundary
-        >>> chain = paper_chain(n=1)
-        >>> boundary = dry_fold_belt_speed(chain)
-        >>> try_boundary(chain, boundary).vibrates.tolist()
-        [True, False]
-        >>> bool(try_boundary(chain, 0.9 * boundary).holds)  # that is no boundary
-        False
-    """
-    mass = check_mass(chain, mass)
-    for name, value, remedy in (
-        ("belt_speed", belt_speed, "1.8 is usual."),
-        ("margin", margin, "it is a share of the belt speed, such as 0.01."),
-        ("time", time, "400 is usual."),
-    ):
-        check_positive_number(name, value, remedy)
-    if not is_traced(margin) and float(margin) >= 1.0:
-        raise ValueError(f"Argument `margin` must be below 1, but is {margin}: 0.01 is usual.")
-    if not is_traced(time) and float(time) < _WINDOW:
-        raise ValueError(
-            f"Argument `time` must be at least {_WINDOW:g}, in which amplitudes are taken, but is "
-            f"{time}: 400 is usual."
-        )
-    return _try(chain, to_float(belt_speed), mass, to_float(margin), to_float(time))
-
-
-@eqx.filter_jit
-def _try(chain: Chain, belt_speed: Array, mass: int, margin: Array, time: Array) -> BoundaryTrial:
-    speeds = belt_speed * (1.0 + margin * jnp.array([-1.0, 1.0]))
-
-    def amplitude(speed: Array) -> Array:
-        chain_i = eqx.tree_at(lambda c: c.belt_speed, chain, speed)
-        return simulate(
-            chain_i,
-            on_the_belt(chain_i, mass),
-            time,
-            observe=Amplitude(window=_WINDOW),
-            solver=EventDriven(7),
-            rtol=1e-8,
-            throw=False,
-        ).observed
-
-    amplitudes = jax.vmap(amplitude)(speeds)
-    vibrates = active(amplitudes, speeds)[:, mass]
-    return BoundaryTrial(speeds, amplitudes, vibrates, vibrates[0] & ~vibrates[1])

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import equinox as eqx
@@ -56,9 +57,7 @@ from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.branches import (
     CyclePoint,
-    cycle_weights,
     cycles_at,
-    linearise,
     return_of_broken,
 )
 from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
@@ -71,10 +70,7 @@ from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
 from ..model.provenance import environment, parameters_of
-from ..observers.amplitude import Amplitude
 from ..result import Outcome, Printed, SearchResult
-from ..simulation.event_driven import EventDriven
-from ..simulation.run import simulate
 from .equilibria import HopfPoint, HopfSystem, Rates, find_hopf_point, lyapunov_coefficient
 from .grazing import Grazing
 
@@ -115,6 +111,8 @@ class _CycleEquations(eqx.Module):
     kind: str = eqx.field(static=True)
     # What remains of a symmetry that breaks; None: none breaks.
     kept: Symmetry | None = eqx.field(static=True, default=None)
+    # A user's own test of a cycle, or None.
+    event: Callable[[Any], Any] | None = eqx.field(static=True, default=None)
 
     @property
     def dry(self) -> bool:
@@ -124,7 +122,7 @@ class _CycleEquations(eqx.Module):
     @property
     def smooth(self) -> bool:
         """Whether g is that of the smooth kinds, and no event."""
-        return not self.dry or self.kind == "fold"
+        return (not self.dry or self.kind == "fold") and self.event is None
 
     def beyond(self, ended: str, U: np.ndarray) -> _CycleEquations | None:
         """The equations of the next piece, if the curve goes on where this one has ended."""
@@ -136,7 +134,7 @@ class _CycleEquations(eqx.Module):
         u, _, _ = self.split(jnp.asarray(U))
         durations = np.where(self.shooting.apart, u[-len(self.shooting.events) :], np.inf)
         shooting = self.shooting.swapped(int(np.argmin(durations)))
-        return shooting and _CycleEquations(shooting, self.kind)
+        return shooting and replace(self, shooting=shooting)
 
     @property
     def _extra(self) -> int:
@@ -151,12 +149,8 @@ class _CycleEquations(eqx.Module):
     def values(self, U: Array) -> tuple[Array, Array, Any, Array, Array]:
         """(R, [F_u F_p ...], further results, a, b) from one integration."""
         u, parameters, kappa = self.split(U)
-        if self.dry:
-            r, slopes, extra = self.shooting.linearise(u, *parameters)
-            M = jnp.zeros(())
-        else:
-            r, slopes, extra = linearise(u, parameters, self.shooting)
-            M = extra.monodromy
+        r, slopes, extra = self.shooting.cycle(u, *parameters)
+        M = jnp.zeros(()) if self.dry else extra.monodromy
         if self.kind == "torus":
             left, right = _pair(M, kappa)
             return jnp.append(r, _of_pair(left @ M @ right, kappa)), slopes, extra, left, right
@@ -212,9 +206,9 @@ class _CycleEquations(eqx.Module):
         return self.shooting.parameter
 
     def weights(self, U: np.ndarray) -> np.ndarray:
-        """Of the norm of steps, see `cycle_weights`."""
+        """Of the norm of steps, see `Shooting.weights`."""
         m = self.shooting.size
-        of_cycle = np.full(m, m**-0.5) if self.dry else cycle_weights(self.shooting, 1.0)[:m]
+        of_cycle = self.shooting.weights(1.0)[:m]
         return np.concatenate([of_cycle, np.ones(self._extra), _relative(U[-2:])])
 
     @property
@@ -231,9 +225,14 @@ class _CycleEquations(eqx.Module):
                 name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
                 for i, name in enumerate(_OTHER_EVENTS)
             }
+            own = self.shooting.slips and self.shooting.special is None
+            if own and self.kind != "fold":
+                tests[_OTHER_EVENTS[0]] = lambda u, p, tangent, extra: min(
+                    -float(extra.margins[0]), float(extra.below)
+                )
             if self.shooting.slips and self.kind == "fold":
                 tests["degenerate grazing"] = lambda u, p, tangent, extra: float(extra.below)
-            elif self.shooting.slips:
+            elif self.shooting.slips and self.shooting.special is not None:
                 # A grazing is a fold for rho > 1; each test jumps where the other is zero.
                 def share(rho: Any, power: int) -> float:
                     x = float(rho) - 1.0
@@ -278,18 +277,30 @@ class _CycleEquations(eqx.Module):
         """R, with derivatives, in every parameter of the model as well."""
         u, parameters, _ = self.split(U)
         gaps = self.shooting.residual(u, *parameters)
+        if self.event is not None:
+            return jnp.append(gaps, self.event(self.shooting.seen(u, *parameters)))
         return jnp.append(gaps, _test(U, self)) if self.smooth else gaps
 
     def linearise(self, U: Array) -> tuple[Array, Array, Any]:
         """(R, its derivatives, further results)."""
         if not self.smooth:
             u, parameters, _ = self.split(U)
-            return self.shooting.linearise(u, *parameters)
+            r, slopes, extra = self.shooting.cycle(u, *parameters)
+            if self.event is not None:
+                of = partial(_event, equations=self)
+                g, row = of(U), jax.jacfwd(of)(U)
+                r, slopes = jnp.append(r, g), jnp.concatenate([slopes, row[None]])
+            return r, slopes, extra
         r, slopes, extra, left, right = self.values(U)
         m, k = self.shooting.size, self._extra
         top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
         last = jax.jacfwd(self.with_fixed_vectors)(U, left, right)
         return r, jnp.concatenate([jnp.concatenate(top, axis=1), last]), extra
+
+
+def _event(U: Array, equations: _CycleEquations) -> Array:
+    u, parameters, _ = equations.split(U)
+    return jnp.asarray(cast(Any, equations.event)(equations.shooting.seen(u, *parameters)))
 
 
 @eqx.filter_custom_jvp
@@ -409,9 +420,7 @@ class _HopfEquations(eqx.Module):
 @eqx.filter_jit
 def _dry_cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
     u, parameters, _ = equations.split(U)
-    field, state, period = equations.shooting.unpack(u, *parameters)
-    run = simulate(field, state, period, observe=Amplitude(), solver=EventDriven())
-    return state, period, run.observed
+    return tuple(equations.shooting.seen(u, *parameters))
 
 
 def _residual(U: Array, q: Any, equations: Any) -> Array:
@@ -473,7 +482,7 @@ def find_special_cycle(
 
     - `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
       `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
-      `find_grazing`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
+      `find_fold`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
       last three must not be traced.
     - `model`: the model with other parameters, by default the same; its own value of the parameter
       is ignored.  If the search fails, it goes there in steps, unless `model` is traced.
@@ -593,24 +602,29 @@ def _solved(U: Array, equations: _CycleEquations) -> Array:
 
 def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
     """(equations, name of the parameter, unknowns) of a special cycle."""
-    remedy = "`continue_cycle(...).special` and `find_grazing` have them."
+    remedy = "`continue_cycle(...).special` and dry `find_fold` have them."
     given = CyclePoint | SpecialCycle | Grazing
     check_kind("point", point, given, "a special point of cycles", remedy)
     if isinstance(point, Grazing):
-        check_concrete("use `dry_fold_belt_speed`.", point=point)
+        check_concrete("use `fold_belt_speed`.", point=point)
         if not point.successful:
             raise ValueError(f"Argument `point` is a search that failed. {point.message}")
         chain, touches = point.chain.with_(width=None), bool(point.touches)
         shooting, u = slip_phases(chain, point.state, point.period, point.mass, touches)
         equations = _CycleEquations(shooting, "grazing fold" if touches else "fold")
         return equations, "belt_speed", jnp.append(u, point.belt_speed)
-    if point.kind not in (*_KINDS, "grazing fold", *DRY_KINDS):
+    own = isinstance(point, SpecialCycle) or point.event is not None
+    if not own and point.kind.removesuffix(" fold") not in (*_KINDS, *DRY_KINDS):
         raise ValueError(
             f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
             f'"{point.kind}". {remedy}'
         )
     if isinstance(point, SpecialCycle):
         return point.equations, point.parameter, point.unknowns
+    if point.event is not None:
+        return _of_event(point)
+    if isinstance(point.shooting, Phases):
+        return _of_sequence(point, point.shooting)
     pairs = point.multipliers[point.multipliers.imag > 0]
     mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
     kappa = [mu.real] if point.kind == "torus" else []
@@ -624,11 +638,42 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
     return equations, str(point.shooting.parameter), U
 
 
+def _of_event(point: CyclePoint) -> tuple[_CycleEquations, str, Array]:
+    """The same of a user's own event."""
+    U = jnp.append(jnp.asarray(point.raw.u), point.parameter)
+    name = str(point.shooting.parameter)
+    shooting = replace(point.shooting, parameter=(name,))
+    equations = _CycleEquations(shooting, point.kind, event=point.event)
+    try:
+        eqx.filter_eval_shape(_event, U, equations)
+    except AttributeError as error:
+        raise ValueError(
+            f'Argument `point` is the event "{point.kind}", whose function uses more of a cycle '
+            f"than `state`, `period` and `amplitude`, which are followed: {error}"
+        ) from error
+    return replace(equations, shooting=point.shooting), name, U
+
+
+def _of_sequence(point: CyclePoint, phases: Phases) -> tuple[_CycleEquations, str, Array]:
+    """The same of a special point of a branch of dry cycles."""
+    kind = "grazing fold" if phases.slips and phases.special is not None else point.kind
+    if (phases.special is None and kind != "fold") or not point.refined:
+        raise ValueError(
+            f'Argument `point` is a "{point.kind}" of a cycle with dry friction'
+            + ("" if point.refined else ", which was not solved for to all digits")
+            + ": folds and changes of the sequence of sticking and sliding are followed; of "
+            "smoothed friction all kinds are, `model.with_(width=1e-3)`."
+        )
+    kind = kind if phases.slips or kind == "fold" else kind.removesuffix(" fold")
+    U = jnp.append(jnp.asarray(point.raw.u), point.parameter)
+    return _CycleEquations(phases, kind), str(phases.parameter), U
+
+
 def _of_dry_cycle(
     point: Any, model: Any, kind: Any, mass: Any, name: Any
 ) -> tuple[_CycleEquations, str, Array]:
     """The same of a cycle with dry friction near a special one."""
-    check_one_of("kind", kind, DRY_KINDS)
+    check_one_of("kind", kind, DRY_KINDS[:3])
     if is_cycle(point):
         field, state, period = point.chain, point.state, point.period
     elif isinstance(point, tuple | list) and len(point) == 2 and model is not None:
@@ -858,8 +903,9 @@ def continue_special(
     **Arguments:**
 
     - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
-      `continue_cycle(...).special`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
-      dry friction, a `Grazing` of `find_grazing`.  Its parameter is the first parameter.
+      `continue_cycle(...).special`, with dry friction a fold or a change of the sequence, or a
+      zero of one of its `events`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
+      dry friction, a `Grazing` of `find_fold`.  Its parameter is the first parameter.
     - `second`: the name of the second parameter, one for all cells.
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends
       where a parameter of a `Chain` that must not be negative is 0, and cycles without a force end
@@ -886,7 +932,7 @@ def continue_special(
         >>> round(float(curve.second[-1]), 9), round(float(curve.first[-1]), 9)
         (0.291637021, 0.26834438)
     """
-    remedy = "`continue_cycle(...).special`, `find_hopf_point` and `find_grazing` have them."
+    remedy = "`continue_cycle(...).special`, `find_hopf_point` and dry `find_fold` have them."
     given = CyclePoint | SpecialCycle | Grazing | HopfPoint
     check_kind("point", point, given, "a special point of cycles or a `HopfPoint`", remedy)
     if isinstance(point, CyclePoint) and point.kind == "hopf":

@@ -376,15 +376,8 @@ def continue_branch(
     check_number("parameter", parameter, "it is the value of p at the start.")
     z = np.append(u, float(parameter))
     corrector = make_corrector(residual, value_and_jacobian, args, u.size, weights, tolerance)
-    steps = _checked_steps(step, min_step, max_step, max_turn, max_bend)
-    check_count("max_points", max_points)
-    check_flag("keep_part", keep_part)
-    low, high = check_pair("bounds", bounds, "(0.0, 5.0), say, of the parameter.")
-    if not low <= float(parameter) <= high:
-        raise ValueError(
-            f"Argument `bounds` must be (low, high) around `parameter` = {parameter}, but is "
-            f"{(low, high)}."
-        )
+    steps = check_steps(step, min_step, max_step, max_turn, max_bend)
+    low, high = check_walk(parameter, bounds, max_points, keep_part)
     heading = _heading(direction, u.size)
 
     record = BranchRecorder(u.size)
@@ -398,7 +391,25 @@ def continue_branch(
     return record.branch(ended, reason, corrector.counts)
 
 
-def _checked_steps(step: Any, least: Any, greatest: Any, max_turn: Any, max_bend: Any) -> Steps:
+def check_walk(
+    parameter: Any, bounds: Any, max_points: Any, keep_part: Any
+) -> tuple[float, float]:
+    """`bounds` as two numbers, or `ValueError`."""
+    check_count("max_points", max_points)
+    check_flag("keep_part", keep_part)
+    low, high = check_pair("bounds", bounds, "(0.0, 5.0), say, of the parameter.")
+    if not low <= float(parameter) <= high:
+        raise ValueError(
+            f"Argument `bounds` must be (low, high) around `parameter` = {parameter}, but is "
+            f"{(low, high)}."
+        )
+    return low, high
+
+
+def check_steps(
+    step: Any, least: Any, greatest: Any, max_turn: Any = 0.25, max_bend: Any = 3e-3
+) -> Steps:
+    """`Steps`, or `ValueError`."""
     for name, value in {
         "step": step,
         "min_step": least,

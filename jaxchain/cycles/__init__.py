@@ -6,6 +6,7 @@
 - `floquet`: a limit cycle, its monodromy matrix and Floquet multipliers
 - `limit_cycle`: `find_limit_cycle`, from guesses of every kind, smoothed or dry
 - `phases`: cycles of dry friction as sequences of phases, which may only just touch an event
+- `sequences`: how these sequences change along a branch
 - `shooting`: the equations of periodic orbits: flow, section, coordinates, minimal period
 - `symmetry`: rotations and reflections of a ring, and the subgroups to which a cycle may lose them
 - `variational`: a run with its derivatives in its initial state, in one loop

@@ -10,21 +10,33 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Complex, Float, Int
+from jaxtyping import Array, Complex, Float
 from scipy.interpolate import BarycentricInterpolator
 
-from .._checks import check_concrete, check_kind, check_one_of, check_whole
+from .._checks import (
+    check_concrete,
+    check_function,
+    check_kind,
+    check_one_of,
+    check_positive_number,
+    check_whole,
+    shown,
+    to_float,
+)
 from .._final import final
 from .._types import ArrayLike, Given, ScalarLike, State, StateLike
 from ..continuation.arclength import (
     Switched,
     check_following,
+    check_steps,
+    check_walk,
     continue_branch,
     make_corrector,
     switch_branch,
@@ -39,7 +51,6 @@ from ..continuation.branch import (
 from ..continuation.corrector import Corrector
 from ..continuation.special_points import Located, Test, polish, zero_error
 from ..model.arguments import as_mass, as_parameter
-from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.provenance import environment, parameters_of
 from ..observers.amplitude import amplitude_variables
@@ -52,10 +63,11 @@ from .floquet import (
     as_orbit,
     check_orbit,
     forcing_periods_of,
-    is_trusted,
-    orbit_multipliers,
+    scaled_peak_velocity,
 )
-from .shooting import Shooting, residual
+from .phases import KINDS, CycleProperties, DryRun, Phases
+from .sequences import Start, change_at, corrector_of, sequence_of, tests_of, vanishing
+from .shooting import CycleLinearisation, Shooting, linearise, residual
 from .symmetry import (
     CycleSymmetry,
     Symmetry,
@@ -81,6 +93,10 @@ _UNIT = 1e-5
 _SUBGROUPS = "it is the index of one of `point.symmetries`."
 # Cycles that are integrated at once, in a sixth of the time.
 _TOGETHER = 8
+# A share of the parameter: closer to a change of the sequence another special point is part of it.
+_SAME = 1e-7
+# The least amplitude of a family of cycles, over its first one.
+_SMALL = 1e-3
 # Arclength for the slope of a test; the error of a point where no better one can be solved.
 _PROBE, _ROUGH = 1e-4, 1e-6
 
@@ -93,12 +109,18 @@ class CyclePoint(Printed):
     `kind`: "fold"; "hopf" (the amplitude vanishes, and the branch ends in steady sliding);
     "symmetry breaking" (a multiplier +1 of a disturbance that breaks the orbit's symmetry: a
     branch of less symmetric cycles crosses); "branch point" (the same without a symmetry); "period
-    doubling" (-1); "torus" (a pair leaves the unit circle).  `parameter`, `state` (of a chain `x`
-    and `v`), `period`, `amplitude`, `multipliers` are those of the cycle at this point; `refined`:
-    whether the search converged, with a known error; `error`: of `parameter`, from the search and
-    from the integration, which uses a tight tolerance; `raw`: the point of the shooting equations,
-    `shooting`; `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along
-    which other branches leave, one of each class of conjugate ones.
+    doubling" (-1); "torus" (a pair leaves the unit circle).  With dry friction also changes of the
+    sequence of sticking and sliding: "grazing" (a mass that slides just touches the belt speed,
+    and sticks shortly beyond), "release" (a mass that sticks slides shortly beyond), "stick onset"
+    (it sticks where it passed the belt speed) or one of them the other way round, and "two events"
+    (of two masses, which exchange their order); "grazing fold" and so on where `parameter` turns.
+    `parameter`, `state` (of a chain `x` and `v`), `period`, `amplitude`, `multipliers` are those
+    of this cycle; `refined`: whether the search converged, with a known error; `error`:
+    of `parameter`, from the search and from the integration, which uses a tight tolerance; `raw`:
+    the point of the equations, `shooting`; `scaled_peak_velocity` as in `CycleBranch`;
+    `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along which other
+    branches leave, one of each class of conjugate ones.  A zero of one of `events` has its name as
+    `kind`, and the function as `event`.
 
     See `continue_cycle` for an example.
     """
@@ -112,8 +134,10 @@ class CyclePoint(Printed):
     refined: bool
     error: float
     raw: SpecialPoint
-    shooting: Shooting
+    shooting: Shooting | Phases
+    scaled_peak_velocity: float
     symmetries: tuple[CycleSymmetry, ...] = ()
+    event: Callable[[Any], Any] | None = None
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
@@ -264,60 +288,6 @@ def with_less_symmetry(
     )
 
 
-class CycleLinearisation(eqx.Module):
-    """Further results of `linearise`.
-
-    - `state`: that on the section; `period`.
-    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
-    - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
-    - `amplitude` (n,): half peak-to-peak of each displacement over a period.
-    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v); `part`: Q of
-      `Period`, which is M without a shift.
-    - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
-      = |M f - f| / |f|.
-    - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
-    """
-
-    state: State
-    period: Float[Array, ""]
-    speed: Float[Array, ""]
-    times_round: Int[Array, ""]
-    amplitude: Float[Array, " n"]
-    monodromy: Float[Array, "two_n two_n"]
-    part: Float[Array, "two_n two_n"]
-    multipliers: Complex[Array, " others"]
-    trivial_defect: Float[Array, ""]
-    sound: Bool[Array, ""]
-
-
-def linearise(
-    u: Float[Array, " m"], parameter: Any, shooting: Shooting
-) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
-    """(R, [R_u R_p], `CycleLinearisation`) of the shooting equations R, from one integration.
-
-    `parameter`: the value of `shooting.parameter`, or a tuple of values if it names several.
-    """
-    parameters = parameter if isinstance(parameter, tuple) else (parameter,)
-    r, jacobian, whole = shooting.linearise(u, *parameters)
-    field, state, period = shooting.unpack(u, *parameters)
-    f = None if shooting.forcing_periods else jnp.concatenate(field(0.0, state))
-    floquet = orbit_multipliers(whole.monodromy, f)
-    sound = field.can_be_cycle(period, whole.fastest)
-    extra = CycleLinearisation(
-        state,
-        period,
-        field.belt_direction() * field.value_and_rate(0.0, state)[1][shooting.mass],
-        whole.returned.times_round,
-        whole.amplitude,
-        whole.monodromy,
-        whole.part,
-        floquet.multipliers,
-        floquet.defect,
-        sound & is_trusted(floquet.multipliers, floquet.defect),
-    )
-    return r, jacobian, extra
-
-
 def cycles_at(
     u: Float[np.ndarray, "k m"], parameters: Float[np.ndarray, "k more"], shooting: Shooting
 ) -> tuple[Any, Float[np.ndarray, " k"], Float[np.ndarray, "k n"]]:
@@ -418,12 +388,12 @@ def breaking(extra: CycleLinearisation, shooting: Shooting, kept: Symmetry) -> f
     return _signed(np.linalg.eigvals(block) - at + 0.0j)
 
 
-def doubling(extra: CycleLinearisation) -> float:
+def doubling(extra: CycleLinearisation | CycleProperties) -> float:
     """Zero where a multiplier is -1."""
     return _signed(np.asarray(extra.multipliers) + 1.0)
 
 
-def encircling(extra: CycleLinearisation) -> float:
+def encircling(extra: CycleLinearisation | CycleProperties) -> float:
     """From |mu|^2 - 1 of all pairs: it changes its sign as a pair leaves the unit circle.
 
     Pairs of real multipliers count, too, as mu_i mu_j - 1, so that the sign does not change where
@@ -436,7 +406,7 @@ def encircling(extra: CycleLinearisation) -> float:
     return _signed(np.concatenate([pairs, real[i] * real[j] - 1.0]) + 0.0j)
 
 
-def on_the_circle(extra: CycleLinearisation) -> bool:
+def on_the_circle(extra: CycleLinearisation | CycleProperties) -> bool:
     """Whether a complex pair of multipliers has modulus 1."""
     mu: Any = np.asarray(extra.multipliers)
     return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < 1e-4))
@@ -451,14 +421,11 @@ def special_tests(
     symmetry makes two multipliers pass +1 together, disturbances of less symmetry have one.
     """
 
-    def vanishing(extra: CycleLinearisation) -> float:
-        # The equations are divided by the amplitude: nearer to zero they are noise.
-        speed = float(extra.speed)
-        return 0.0 if abs(speed) < 1e-4 else speed
-
     images, m, forced = shooting.images, shooting.m, shooting.forcing_periods is not None
     symmetric = len(set(images)) < len(images) or shooting.shift is not None
-    of: dict[str, Callable[[Any], float]] = {} if forced else {"hopf": vanishing}
+    of: dict[str, Callable[[Any], float]] = {}
+    if not forced and not shooting.is_family:
+        of["hopf"] = lambda extra: vanishing(float(extra.speed))
     # One multiplier besides the trivial one is never negative.
     if m * len(images) > 2 or forced:
         of |= {"period doubling": doubling, "torus": encircling}
@@ -467,15 +434,47 @@ def special_tests(
     return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
 
 
-def cycle_weights(shooting: Shooting, p: float) -> np.ndarray:
-    """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
-    m = shooting.size
-    weights = np.full(m + 1, len(shooting.solved) ** -0.5)
-    weights[shooting.z_index] = 1.0
-    if shooting.forcing_periods is None:
-        weights[m - 1] = 1.0
-    weights[m] = 1.0 / (abs(p) or 1.0)
-    return weights
+ENDS = (*KINDS, "hopf")
+"""The tests at whose zero a piece of a branch of dry cycles ends."""
+
+
+def dry_tests(orbit: Phases) -> dict[str, Callable[..., float]]:
+    """The tests of `continue_branch` for a sequence of phases."""
+    of: dict[str, Callable[..., float]] = dict(tests_of(orbit))
+    if orbit.m * orbit.n > 2 or orbit.forcing_periods is not None:
+        of["period doubling"] = lambda u, p, tangent, extra: doubling(extra)
+        of["torus"] = lambda u, p, tangent, extra: encircling(extra)
+    return of
+
+
+def dry_cycles(
+    rows: Sequence[tuple[Phases, np.ndarray, float]], mass: int, rtol: Any
+) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
+    """(state, period, amplitude, scaled peak velocity of `mass`) of dry cycles, at their cut."""
+    orbit, d = rows[0][0], rows[0][0].m * rows[0][0].n
+    forced = orbit.forcing_periods is not None
+    columns = [
+        (u[:d], u[d] if forced else 0.0, np.sum(u[-len(of.events) :]), p) for of, u, p in rows
+    ]
+    given, k = [np.array(column) for column in zip(*columns, strict=True)], len(rows)
+    parts = []
+    for first in range(0, k, _TOGETHER):
+        some = [column[np.minimum(first + np.arange(_TOGETHER), k - 1)] for column in given]
+        runs = DryRun(orbit.field, to_float(rtol), mass, orbit.forcing_periods)
+        parts.append(_dry_cycles(runs, orbit.parameter, orbit.m, *some))
+    return jax.tree.map(lambda *part: np.concatenate(part)[:k], *parts)
+
+
+@eqx.filter_jit
+def _dry_cycles(runs: DryRun, name: Any, m: int, y: Any, t0: Any, period: Any, p: Any) -> Any:
+    def one(y: Array, t0: Array, period: Array, p: Array) -> Any:
+        own = replace(runs, field=runs.field.with_(**{name: p}))
+        state, _, seen = own.from_the_cut(tuple(jnp.split(y, m)), period, t0)
+        low, high, fastest, _ = seen
+        peaks = scaled_peak_velocity(own.field, fastest)
+        return state, period, (high - low) / 2, peaks[runs.mass]
+
+    return jax.vmap(one)(y, t0, period, p)
 
 
 class NoBranchError(RuntimeError):
@@ -488,16 +487,21 @@ class CycleBranch(Printed):
     """A branch of k cycles in order, as data on the host.
 
     - `parameter` (k,): its values; `name`: which argument of `Chain.with_` it is.
-    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass
-      `shooting.mass` in the direction of the belt (of what is forced, at t = 0); `period` (k,).
+    - `state`, of a chain `x`, `v` (k, n): the states at the greatest velocity of mass `mass` along
+      the belt (of what is forced, at t = 0; with dry friction where the belt releases a mass that
+      sticks); `period` (k,).
     - `amplitude` (k, n): half peak-to-peak of each displacement; `energy` (k,): half the sum of
       squares of these.
-    - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle; NaN without
-      friction.
-    - `multipliers` (k, 2n - 1): without the trivial one, whose error is `trivial_defect` (k,), the
+    - `scaled_peak_velocity` (k,): max w / eps of that mass, negative for a slip cycle, see
+      `LimitCycle`; NaN without friction.
+    - `multipliers` (k, 2n - 1): without the trivial one, whose error is `trivial_defect` (k,) (NaN
+      with dry friction, where the equations of the return leave it out), the
       greatest modulus first; `unstable` (k,): the number of multipliers outside the unit circle.
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
-    - `shooting`, `branch`: the equations, and the branch as their solution (with `counts`).
+    - `mass`: the index of the mass at whose greatest velocity the cycles are cut.
+    - `pieces`: of each piece of the branch the equations, and the branch as their solution (with
+      `counts`); more than one with dry friction, whose sequence of phases changes.  `shooting`,
+      `branch`: of the last one.
 
     See `continue_cycle` for an example.
     """
@@ -511,8 +515,18 @@ class CycleBranch(Printed):
     multipliers: Complex[np.ndarray, "k others"]
     trivial_defect: Float[np.ndarray, " k"]
     special: tuple[CyclePoint, ...]
-    shooting: Shooting
-    branch: Branch
+    pieces: tuple[tuple[Shooting | Phases, Branch], ...]
+    mass: int
+
+    @property
+    def shooting(self) -> Any:
+        """The equations of the last piece."""
+        return self.pieces[-1][0]
+
+    @property
+    def branch(self) -> Branch:
+        """The last piece, as solution of its equations."""
+        return self.pieces[-1][1]
 
     @property
     def x(self) -> Float[np.ndarray, "k n"]:
@@ -617,9 +631,8 @@ class CycleBranch(Printed):
             np.stack([*part, *(point.state[i] for point in special)])
             for i, part in enumerate(self.state)
         ]
-        u = np.reshape([point.raw.u for point in special], (-1, self.branch.u.shape[1]))
         scaled_peak_velocity = np.append(
-            self.scaled_peak_velocity, _scaled_peak_velocity(self.shooting, u)
+            self.scaled_peak_velocity, [point.scaled_peak_velocity for point in special]
         )
         field = self.shooting.field
         time = field.time_unit
@@ -670,6 +683,7 @@ class CycleBranch(Printed):
             row.unit,
         )
         n, shooting = self.x.shape[1], self.shooting
+        of_cycles.pop(self.name, None)  # a family over its period
         return Dataset(
             variables("", "point", slice(k), of_cycles | of_points)
             | at_special
@@ -685,7 +699,7 @@ class CycleBranch(Printed):
                 "message": self.message,
                 "solver": repr(shooting.solver),
                 "rtol": float(shooting.rtol),
-                "cut_at_oscillator": shooting.mass + 1,
+                "cut_at_oscillator": self.mass + 1,
                 "images": json.dumps(shooting.images),
                 "shift": json.dumps(shooting.shift),
                 "symmetry": self.symmetry,
@@ -708,17 +722,23 @@ def continue_cycle(
     min_step: Given[ScalarLike] = 1e-6,
     max_step: Given[ScalarLike] = 0.3,
     max_points: Given[int] = 300,
+    events: Mapping[str, Callable[[Any], Any]] | None = None,
     stop: Callable[[float, Any], Any] | None = None,
     progress: Callable[[int, Point], Any] | None = None,
     rtol: Given[ScalarLike] = RTOL,
     tolerance: Given[ScalarLike] = 1e-9,
     keep_part: bool = True,
 ) -> CycleBranch:
-    """Follows a cycle as a parameter of the chain changes, around folds, with stability.
+    """Follows a cycle as a parameter of the model changes, around folds, with stability.
 
     Pseudo-arclength continuation (`continue_branch`) of the shooting equations, with a section at
     the greatest velocity of one mass, in the coordinates u = (x_n, z_n = asinh(w_n / eps), ln T).
     In these the layer of a smoothed fold, of thickness O(eps), has the same width for all eps.
+
+    With dry friction a cycle is a sequence of phases of sticking and sliding, and the unknowns are
+    the state after one event and the duration of each phase.  Where the sequence changes, the
+    branch goes on with the next one, and has a special point, see `CyclePoint`.  Multipliers
+    contain the jumps at events; those that sticking erases are exactly 0.
 
     **Arguments:**
 
@@ -726,19 +746,26 @@ def continue_cycle(
       `mass` (by default the fastest) in the direction of the belt; or all three in one
       `LimitCycle`.  A multiple of the minimal period is reduced to it.  The chain may be any
       `AbstractOscillators` or `AbstractCells`; forced ones are cut at t = 0.
-    - `parameter`: a scalar argument of `Chain.with_`, or a field of other oscillators that is a
+    - `parameter`: "period" for cycles without damping, which are a family over their period and
+      energy (the nonlinear normal mode, whose amplitude over frequency is the backbone curve);
+      else a scalar argument of `Chain.with_`, or a field of other oscillators that is a
       scalar array (`coupling` is the constant of their springs); `bounds`: its range, at whose
-      ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold use
-      "stick" or "slip" to start towards greater or smaller scaled_peak_velocity of that mass.
+      ends the branch ends; `direction`: 1 or -1, the sign of its first change.  At a fold of
+      smoothed friction use "stick" or "slip" to start towards greater or smaller
+      scaled_peak_velocity of that mass.
     - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
       Or a `CycleSymmetry`, as of `cycle_symmetry`, whose shift of time is kept, too.  The orbit
-      keeps this symmetry; multipliers are those of all disturbances.
+      keeps this symmetry; multipliers are those of all disturbances.  Ignored with dry friction.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`, `keep_part` (after
       Ctrl-C): see `continue_branch`; lengths are (mean of x^2 and z^2 of the others + z_j^2 +
       ln^2 T + p^2)^(1/2).
+    - `events`: name -> function of a cycle, a number whose zeros are special points of this name:
+      `{"one": lambda cycle: cycle.amplitude[0] - 1.0}`.  A cycle has `state`, `period`,
+      `amplitude` and `multipliers`; `continue_special` follows what does not depend on the last.
     - `stop(p, linearisation)`: ends the branch where it is true.  The branch also ends at a Hopf
       point, where the amplitude vanishes.
-    - `rtol`: tolerance of the integration.
+    - `rtol`: tolerance of the integration; of dry cycles only that of states and amplitudes, whose
+      branch is integrated to rounding.
 
     **Returns:** a `CycleBranch`, also after Ctrl-C.  The error of its points is about ten times
     `rtol`.  Special points use an `rtol` of at most 3e-11, and each has an `error`.
@@ -755,17 +782,49 @@ def continue_cycle(
         >>> branch = continue_cycle(cycle)  # up, round the fold, and down to the Hopf point
         >>> [(point.kind, round(point.parameter, 6)) for point in branch.special]
         [('fold', 1.792456), ('hopf', 1.151293)]
+        >>> dry = continue_cycle(find_limit_cycle(paper_chain(1, belt_speed=1.5, width=None)))
+        >>> [(point.kind, round(point.parameter, 6)) for point in dry.special]
+        [('grazing fold', 1.836601), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
+    events = _checked_events(events)
     if state is None and period is None and mass is None:
         mass = getattr(model, "mass", None)
     field, state, period = as_orbit(model, state, period)
     check_concrete("use `find_limit_cycle`.", model=field, state=state, period=period)
-    require_smoothed(field, "follow `find_limit_cycle` from one belt speed to the next, or ")
     state = check_orbit(field, state, period, rtol)
     n, velocity = state[0].size, field.value_and_rate(0.0, state)[1]
     mass = int(as_mass(n, mass, int(jnp.argmax(field.belt_direction() * velocity))))
-    p = float(as_parameter(field, parameter))
+    family = parameter == "period" and not field.has_parameter("period")
+    if family and (field.dry or field.forcing_period() is not None):
+        raise ValueError(
+            'Argument `parameter` is "period", of which cycles without damping are a family, but '
+            f"this model {'has dry friction' if field.dry else 'is forced'}: name a parameter of "
+            "the model."
+        )
+    p = float(to_float(period) if family else as_parameter(field, parameter))
+    options = {
+        "step": step,
+        "min_step": min_step,
+        "max_step": max_step,
+        "max_points": max_points,
+        "progress": progress,
+        "tolerance": tolerance,
+        "keep_part": keep_part,
+    }
+    if field.dry:
+        way = _sign(direction)  # all is checked before anything long starts
+        check_steps(step, min_step, max_step)
+        check_positive_number("tolerance", tolerance, "1e-9 is usual.")
+        check_walk(p, (-np.inf, np.inf) if bounds is None else bounds, max_points, keep_part)
+        begin = sequence_of(field, state, period, mass, parameter, float(tolerance))
+        if begin is None:
+            raise NoBranchError(
+                "No sequence of sticking and sliding was found that has this cycle: give one of "
+                "`find_limit_cycle`, or begin at another value of the parameter."
+            )
+        begin = begin._replace(direction=way * begin.direction)
+        return _follow_dry(begin, mass, rtol, bounds, stop, options, events)
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
     images, shift = as_symmetry(images, field, state, mass)
     forcing_periods = forcing_periods_of(field, period)
@@ -778,16 +837,28 @@ def continue_cycle(
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
         heading[shooting.z_index] = 1.0 if direction == "stick" else -1.0
-    options = {
-        "step": step,
-        "min_step": min_step,
-        "max_step": max_step,
-        "max_points": max_points,
-        "progress": progress,
-        "tolerance": tolerance,
-        "keep_part": keep_part,
+    return _follow(shooting, u, p, heading, bounds, stop, options, events)
+
+
+def _checked_events(events: Any) -> Mapping[str, Callable[[Any], Any]]:
+    events = {} if events is None else events
+    check_kind("events", events, Mapping, "a dict of functions")
+    taken = ("fold", "branch point", "hopf", "torus", "period doubling", _BREAKING, *KINDS)
+    for name, event in events.items():
+        check_function(f"events[{name!r}]", event, "a cycle -> a number", 1)
+        if not isinstance(name, str) or name.removesuffix(" fold") in taken:
+            raise ValueError(
+                f"Argument `events` must have names of its own, but has {shown(name)}: these are "
+                f"kinds of special points, {', '.join(taken)}."
+            )
+    return events
+
+
+def _tests_of(events: Mapping[str, Callable[[Any], Any]]) -> dict[str, Test]:
+    return {
+        name: lambda u, p, tangent, extra, event=event: float(event(extra))
+        for name, event in events.items()
     }
-    return _follow(shooting, u, p, heading, bounds, stop, options)
 
 
 def switch_cycle(
@@ -835,10 +906,12 @@ def switch_cycle(
     """
     check_kind("branch", branch, CycleBranch, "one of `continue_cycle`")
     check_kind("point", point, CyclePoint, "one of `branch.special`")
-    shooting, raw = branch.shooting, point.raw
+    shooting, raw = point.shooting, point.raw
     if point.kind == "symmetry breaking":
         check_whole("symmetry", symmetry, 0, len(point.symmetries) - 1, _SUBGROUPS)
-        shooting, raw = with_less_symmetry(shooting, point, point.symmetries[symmetry])
+        shooting, raw = with_less_symmetry(
+            cast(Shooting, shooting), point, point.symmetries[symmetry]
+        )
     elif point.kind != "branch point":
         raise ValueError(
             'Argument `point` must be of kind "symmetry breaking" or "branch point", but is a '
@@ -847,12 +920,16 @@ def switch_cycle(
     tolerance = options.setdefault("tolerance", 1e-9)
     switched: Switched = switch_branch(
         residual, raw, shooting, side=side, step=step, tolerance=tolerance,
-        weights=cycle_weights(shooting, raw.p), value_and_jacobian=linearise,
+        weights=shooting.weights(raw.p), value_and_jacobian=linearise,
     )  # fmt: skip
     if switched.u is None or switched.p is None:
         raise RuntimeError(switched.reason)
-    options = {"step": step, "min_step": 1e-6, "max_step": 0.3, "max_points": 300, **options}
-    return _follow(shooting, switched.u, switched.p, switched.direction, bounds, stop, options)
+    defaults = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300, "keep_part": True}
+    options = {"step": step, **defaults, **options}
+    start = switched.u, switched.p, cast(np.ndarray, switched.direction)
+    if isinstance(shooting, Phases):
+        return _follow_dry(Start(shooting, *start), branch.mass, RTOL, bounds, stop, options)
+    return _follow(shooting, *start, bounds, stop, options)
 
 
 def _follow(
@@ -863,18 +940,22 @@ def _follow(
     bounds: tuple[Any, Any] | None,
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
+    events: Mapping[str, Callable[[Any], Any]] = MappingProxyType({}),
 ) -> CycleBranch:
     less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
     motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
-    weights, tests = cycle_weights(shooting, p), special_tests(shooting, motions)
-    first, forced = True, shooting.forcing_periods is not None
+    weights = shooting.weights(p)
+    tests = special_tests(shooting, motions) | _tests_of(events)
+    first, forced = None, shooting.forcing_periods is not None
 
     def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
         nonlocal first
         del u, tangent
-        first, begins = False, first
+        begins, first = first is None, first or extra
         if begins and extra.times_round > 1 and not forced:
             return True
+        if shooting.is_family and extra.speed < _SMALL * first.speed:
+            return "the amplitude vanishes"
         if not extra.sound:
             return "it is no longer a cycle, by its speed, period or trivial multiplier"
         if extra.speed <= 0 and not forced:
@@ -905,8 +986,10 @@ def _follow(
     if extra.times_round[0] > 1 and not forced:
         if branch.ended == "interrupted":
             raise KeyboardInterrupt
-        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(extra.times_round[0]))
-        return _follow(shooting, once, float(branch.p[0]), heading, bounds, stop, options)
+        times = extra.times_round[0]
+        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
+        p = float(branch.p[0]) / (times if shooting.is_family else 1)
+        return _follow(shooting, once, p, heading, bounds, stop, options, events)
     refine = refined(shooting, weights, options["tolerance"], tests)
     hopf = {point.index for point in branch.special if point.kind == "hopf"}
     special = []
@@ -914,7 +997,8 @@ def _follow(
         # At zero amplitude the branch continues smoothly in its mirror image, which is not a fold.
         if raw.kind in ("fold", "branch point") and raw.index in hopf:
             continue
-        if raw.kind in tests and raw.kind != "hopf" and hardly_felt(branch, raw, tests[raw.kind]):
+        of_multipliers = raw.kind in tests and raw.kind not in ("hopf", *events)
+        if of_multipliers and hardly_felt(branch, raw, tests[raw.kind]):
             continue
         point = refine(raw) if raw.refined or raw.kind == "hopf" else raw
         if raw.kind != "torus" or on_the_circle(point.extra):
@@ -927,7 +1011,10 @@ def _follow(
                 kind, subgroups = _BREAKING, symmetries_of(e, shooting, motions)
                 if any(other.kind == kind and _same_point(other, point) for other in special):
                     continue  # it was seen in other disturbances, too
-            special.append(CyclePoint(kind, point.p, *orbit, *how, subgroups))
+            peak = float(_scaled_peak_velocity(shooting, point.u[None])[0])
+            special.append(
+                CyclePoint(kind, point.p, *orbit, *how, peak, subgroups, events.get(kind))
+            )
     # The last point may be its own mirror image, or no cycle.
     if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
         k -= 1
@@ -944,8 +1031,140 @@ def _follow(
         multipliers=extra.multipliers[:k],
         trivial_defect=extra.trivial_defect[:k],
         special=tuple(special),
-        shooting=shooting,
-        branch=branch,
+        pieces=((shooting, branch),),
+        mass=shooting.mass,
+    )
+
+
+def _sign(direction: Any) -> int:
+    if isinstance(direction, str) or np.ndim(direction) or direction not in (1, -1):
+        raise ValueError(
+            f"Argument `direction` must be 1 or -1 for dry friction, but is {shown(direction)}: "
+            "it is the sign of the first change of the parameter."
+        )
+    return int(direction)
+
+
+def _follow_dry(
+    start: Start | None,
+    mass: int,
+    rtol: Any,
+    bounds: tuple[Any, Any] | None,
+    stop: Callable[[float, Any], Any] | None,
+    options: dict[str, Any],
+    events: Mapping[str, Callable[[Any], Any]] = MappingProxyType({}),
+) -> CycleBranch:
+    """A branch of dry cycles, piece by piece, see `cycles/sequences.py`."""
+    pieces: list[tuple[Phases, Branch]] = []
+    points: list[tuple[str, Phases, SpecialPoint]] = []
+    room = np.inf if options["max_points"] is None else options["max_points"]
+    limits = (-np.inf, np.inf) if bounds is None else bounds
+    while start is not None and room > 0:
+        most = None if np.isinf(room) else int(room)
+        try:
+            branch, met = _dry_piece(start, limits, stop, events, options | {"max_points": most})
+            before, orbit = sum(piece.p.size for _, piece in pieces), start.orbit
+            room -= branch.p.size
+            found = [
+                (s.kind, orbit, s)
+                for s in branch.special
+                if _is_special(s) and (met is None or abs(s.p - met.p) > _SAME * abs(met.p))
+            ]
+            start = None
+            if met is not None and met.kind == "hopf":
+                corrector = corrector_of(orbit, met.p, options["tolerance"])
+                rest = _at_rest(corrector, met, {}) or replace(met, refined=False, error=np.inf)
+                found.append(("hopf", orbit, rest))
+                branch = replace(branch, ended="stopped", reason="the amplitude vanishes")
+            elif met is not None:
+                change = change_at(orbit, met, options["tolerance"])
+                kind, start = change.kind, change.start
+                if start is None:
+                    reason = f"no sequence of phases was found beyond the {kind}"
+                    branch = replace(branch, ended="stopped", reason=reason)
+                elif (start.p - met.p) * (met.p - branch.p[-1]) < 0:
+                    kind = f"{kind} fold"
+                found.append((kind, change.orbit, change.raw))
+                if room <= 0:
+                    branch = replace(branch, ended="max_points", reason="")
+            pieces.append((orbit, branch))
+            points += [(kind, of, replace(s, index=s.index + before)) for kind, of, s in found]
+        except KeyboardInterrupt:
+            if not (options["keep_part"] and pieces):
+                raise
+            pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended="interrupted")
+            break
+    return _dry_branch(pieces, points, mass, rtol, events)
+
+
+def _dry_piece(
+    start: Start,
+    bounds: tuple[Any, Any],
+    stop: Callable[[float, Any], Any] | None,
+    events: Mapping[str, Callable[[Any], Any]],
+    options: dict[str, Any],
+) -> tuple[Branch, SpecialPoint | None]:
+    """(the branch of one sequence, the special point at which it ends, if it does)."""
+    tests = dry_tests(start.orbit)
+
+    def ends(u: np.ndarray, p: float, tangent: Any, extra: Any) -> Any:
+        if not extra.sound:
+            return "it is no longer a cycle: its period, or a duration, is lost"
+        if any(tests[name](u, p, tangent, extra) > 0 for name in ENDS if name in tests):
+            return "the sequence of phases changes"
+        return stop is not None and stop(p, extra)
+
+    branch = continue_branch(
+        residual, start.u, start.p, start.orbit, direction=start.direction, bounds=bounds,
+        weights=start.orbit.weights(start.p), tests=tests | _tests_of(events), stop=ends,
+        value_and_jacobian=linearise, **options,
+    )  # fmt: skip
+    if not branch.p.size:
+        raise NoBranchError(branch.message)
+    met = min(
+        (s for s in branch.special if s.kind in ENDS), key=lambda s: s.arclength, default=None
+    )
+    return (branch if met is None else branch.up_to(met)), met
+
+
+def _is_special(point: SpecialPoint) -> bool:
+    """Whether it is one; see `encircling`."""
+    return point.kind != "torus" or on_the_circle(point.extra)
+
+
+def _dry_branch(
+    pieces: list[tuple[Phases, Branch]],
+    points: list[tuple[str, Phases, SpecialPoint]],
+    mass: int,
+    rtol: Any,
+    events: Mapping[str, Callable[[Any], Any]],
+) -> CycleBranch:
+    rows = [
+        (orbit, u, p) for orbit, branch in pieces for u, p in zip(branch.u, branch.p, strict=True)
+    ]
+    k = len(rows)
+    rows += [(orbit, raw.u, raw.p) for _, orbit, raw in points]
+    state, period, amplitude, peak = dry_cycles(rows, mass, rtol)
+    special = tuple(
+        CyclePoint(
+            kind, raw.p, tuple(part[i] for part in state), float(period[i]), amplitude[i],
+            raw.extra.multipliers, raw.refined, raw.error + float(raw.extra.error), raw, orbit,
+            float(peak[i]), event=events.get(kind),
+        )
+        for i, (kind, orbit, raw) in enumerate(points, k)
+    )  # fmt: skip
+    return CycleBranch(
+        name=str(pieces[0][0].parameter),
+        parameter=np.concatenate([branch.p for _, branch in pieces]),
+        state=tuple(part[:k] for part in state),
+        period=period[:k],
+        amplitude=amplitude[:k],
+        scaled_peak_velocity=peak[:k],
+        multipliers=np.concatenate([branch.extra.multipliers for _, branch in pieces]),
+        trivial_defect=np.full(k, np.nan),
+        special=special,
+        pieces=tuple(pieces),
+        mass=mass,
     )
 
 

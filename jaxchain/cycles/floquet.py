@@ -345,6 +345,16 @@ def forcing_periods_of(model: AbstractModel, period: Any) -> int | None:
     return forcing_periods
 
 
+def scaled_peak_velocity(model: AbstractModel, fastest: Float[Array, " n"]) -> Float[Array, " n"]:
+    """max w / eps, from the greatest velocities in the direction of the belt."""
+    along = model.belt_direction()
+    switching = model.switching(0.0, along * fastest)
+    if switching is None:
+        return jnp.full_like(fastest, jnp.nan)
+    w = along * switching[0]
+    return jnp.where(w == 0, 0.0, w / switching[1])
+
+
 # A mass that moves less counts as not moving.
 LEAST_VELOCITY = 1e-6
 # M is not trusted if the trivial multiplier or the determinant has a greater error.
@@ -400,12 +410,7 @@ class LimitCycle(Outcome):
         With dry friction it is -inf for such a mass, 0 for one that sticks and is never faster
         than the belt, and inf for one that is.  NaN for cells without friction that switches.
         """
-        along = self.chain.belt_direction()
-        switching = self.chain.switching(0.0, along * self.fastest)
-        if switching is None:
-            return jnp.full_like(self.fastest, jnp.nan)
-        w = along * switching[0]
-        return jnp.where(w == 0, 0.0, w / switching[1])
+        return scaled_peak_velocity(self.chain, self.fastest)
 
     @property
     def energy(self) -> Float[Array, ""]:

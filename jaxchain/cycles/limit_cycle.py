@@ -39,6 +39,7 @@ from .._checks import (
 )
 from .._final import final
 from .._types import Given, ScalarLike, State
+from ..continuation.arclength import make_corrector
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
 from ..continuation.implicit import attach_derivative
 from ..model.arguments import as_chain, as_mass, as_model, as_state
@@ -48,10 +49,9 @@ from ..model.initial_states import reference_site, release_state
 from ..model.model import AbstractModel
 from ..model.sliding import damping_outweighs, sliding_damping, stiffness_matrix
 from ..observers.amplitude import Amplitude
-from ..observers.base import Step
 from ..observers.quantities import active
 from ..observers.samples import Trajectory
-from ..observers.section import AbstractSection, Section
+from ..observers.section import Section
 from ..observers.stick_time import MostSticking
 from ..result import SearchResult
 from ..simulation.event_driven import EventDriven
@@ -63,8 +63,6 @@ from ..simulation.method import (
     fit_linear_solve,
 )
 from ..simulation.run import Simulation, simulate
-from ..solvers.dry_friction import rates
-from ..solvers.dry_friction import start as on_the_belt
 from ..solvers.rosenbrock import Rodas5P
 from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_peak_velocity
 from .branches import NoBranchError, continue_cycle
@@ -79,18 +77,20 @@ from .floquet import (
     multiplier_resolution,
     orbit_multipliers,
 )
-from .shooting import Shooting, greatest_gap, newton_minimal_period
+from .phases import PERIOD_STEPS, STEPS_PER_MASS, DryRun, slipping
+from .shooting import Shooting, greatest_gap, linearise, newton_minimal_period, residual
 from .symmetry import CycleSymmetry, as_symmetry
-from .variational import ExtremesAndTrace, Period, Returned, Returns
+from .variational import Period, Returned, Returns
 
 Guess = tuple[State, Array]
 _TRANSIENT = 200.0  # the transient of a simulation
 _PEAKS = 12  # the number of velocity maxima to examine
-# The most steps of a dry run over a period, and of one to find a guess, each plus some for each
-# mass: a search may try absurd periods and laws.  Usual ones take some 15 per unit of time.
-_PERIOD_STEPS, _GUESS_STEPS, _STEPS_PER_TIME, _STEPS_PER_MASS = 4_000, 40_000, 150.0, 400
+# The most steps of a dry run to find a guess, see `PERIOD_STEPS`.  Usual ones take some 15 per
+# unit of time.
+_GUESS_STEPS, _STEPS_PER_TIME = 40_000, 150.0
 _MOST_FORCING_PERIODS = 16  # the greatest period of a forced cycle, in periods of the force
 _ROUNDING = 1e-9  # of the number of periods in a run
+_ONE = 1e-6  # how close to 1 the second multiplier of a family is
 
 
 def watched(model: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
@@ -102,7 +102,7 @@ def watched(model: Any, state: State, t1: Any, watch: Section | Trajectory) -> A
     most = None
     if model.dry and not is_traced(t1):
         most = max(_GUESS_STEPS, int(_STEPS_PER_TIME * float(t1)))
-        most += 10 * _STEPS_PER_MASS * state[0].size
+        most += 10 * STEPS_PER_MASS * state[0].size
     how: Any = {"solver": solver, "rtol": rtol, "max_steps": most, "throw": False}
     run = simulate(model, state, t1, observe=watch, **how)
     return lax.stop_gradient(run.observed)
@@ -455,26 +455,20 @@ class _States(eqx.Module):
         """(field, state, period)."""
         return self.field, tuple(jnp.split(u[:-1], self.m)), u[-1]
 
-    def run(self, u: Array, observe: Any, periods: Any = 1.0) -> Simulation:
-        """A run over `periods` periods: one, or a little more."""
+    def run(self, u: Array, observe: Any) -> Simulation:
+        """A run over a period."""
         field, state, period = self.unpack(u)
         return simulate(
-            field,
-            state,
-            periods * period,
-            observe=observe,
-            solver=self.solver,
-            rtol=self.rtol,
-            max_steps=_PERIOD_STEPS + _STEPS_PER_MASS * state[0].size,
-            throw=False,
-        )
+            field, state, period, observe=observe, solver=self.solver, rtol=self.rtol,
+            max_steps=PERIOD_STEPS + STEPS_PER_MASS * state[0].size, throw=False,
+        )  # fmt: skip
 
     def closing(self, u: Array) -> tuple[Array, Array]:
         """(gaps of the return, and of the section or the period; the amplitudes)."""
         run, (field, state, period) = self.run(u, Amplitude()), self.unpack(u)
         gaps = [after - before for after, before in zip(run.state, state, strict=True)]
         if self.forcing_periods is None:
-            last = _slipping(field, 0.0, state)[self.mass]
+            last = slipping(field, 0.0, state)[self.mass]
         else:
             last = period - self.forcing_periods * to_float(field.forcing_period())
         return jnp.concatenate([*gaps, last[None]]), run.observed
@@ -578,21 +572,8 @@ def dry_cycle(
     forced = equations.forcing_periods is not None
     orbit, returned, evaluations = _close(equations, state, period)
 
-    def once_round(state: State, periods: Array) -> tuple[State, tuple[State, State, Any]]:
-        cuts = [] if forced else [_Cuts(mass, 1, of="velocity")]
-        run = equations.run(
-            equations.pack(state, orbit.period), [*cuts, ExtremesAndTrace()], periods
-        )
-        *cut, along = run.observed
-        for _, *parts in cut:
-            state_there = on_the_belt(chain, 0.0, tuple(part[0] for part in parts))[0]
-            return state_there, (state, run.state, along)
-        return state, (state, run.state, along)
-
-    # To the cut, and from there: a run that is compiled once.  First a little more than a period,
-    # for an orbit that begins at the cut.
-    _, both = lax.scan(once_round, orbit.state, jnp.asarray([1.0] if forced else [1.05, 1.0]))
-    state, end, (low, high, fastest, _) = jax.tree.map(lambda leaf: leaf[-1], both)
+    runs = DryRun(chain, equations.rtol, mass, equations.forcing_periods)
+    state, end, (low, high, fastest, _) = runs.from_the_cut(orbit.state, orbit.period)
     u = equations.pack(state, orbit.period)
     gap = jnp.concatenate(end) - jnp.concatenate(state)
     stuck = returned.farthest == 0  # where positions in an interval are in balance
@@ -621,25 +602,6 @@ def dry_cycle(
         times_round=returned.times_round if forced else jnp.ones((), int),
     )
     return cycle, u
-
-
-class _Cuts(AbstractSection):
-    """States in which a mass is released by the belt, or is fastest while it slides behind it."""
-
-    def _slope(self, step: Step, theta: Any, y: State) -> Array:
-        field: Any = step.field
-        return field.belt_direction() * _slipping(field, step.time(theta), y)[self.oscillator]
-
-    def _slope_after(self, step: Step, last: Array) -> Array:
-        del step
-        return last
-
-
-def _slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
-    """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
-    mu = model.law.coefficient(jnp.abs(y[model.contact] - model.belt_speed))
-    free, backward = model.accelerations(t, y), -model.belt_direction()
-    return rates(model, free, mu, backward)[model.contact - len(free)]
 
 
 @eqx.filter_jit
@@ -797,7 +759,8 @@ def find_limit_cycle(
     **Raises:** `ValueError` for bad input; `RuntimeError`, with advice, if no cycle is found.  An
     equilibrium is never returned as a cycle.  A family, such as cycles without any damping, or
     those beside a mass that friction holds throughout, has no single one: then a multiplier 1
-    leaves `stable` None, or the search fails and says so.
+    leaves `stable` None, or the search fails and says so.  `continue_cycle` follows families
+    without damping over their period.
 
     !!! example
 
@@ -856,9 +819,9 @@ def find_limit_cycle(
     if not failed(cycle) or not throw:
         cycle = with_derivatives(equations, model, cycle, u)
     if throw and failed(cycle):
-        raise RuntimeError(
-            _failure(cycle) if guess is not None else _missing(fixed, branch, reason)
-        )
+        family = isinstance(equations, Shooting) and _is_family(equations, state, period)
+        why = _FAMILY.format(float(period)) if family else _failure(cycle)
+        raise RuntimeError(why if guess is not None else _missing(fixed, branch, reason))
     return cycle
 
 
@@ -914,6 +877,26 @@ def resolve_guess(
             "`fold_belt_speed` for the greatest belt speed of vibration, or give another `guess`."
         )
     return mass, state, period
+
+
+_FAMILY = (
+    "There is no single limit cycle near the guess: a second multiplier is 1, so cycles are a "
+    "family, one for each period and energy, as without damping. Follow it from period {:.6g} "
+    'with `continue_cycle(model, state, period, parameter="period")`.'
+)
+
+
+def _is_family(shooting: Shooting, state: State, period: Array) -> bool:
+    """Whether a cycle of this period is one of a family."""
+    if shooting.forcing_periods is not None:
+        return False
+    family = replace(shooting, parameter="period")
+    u = np.append(family.pack(state, period), float(period))
+    solve = make_corrector(residual, linearise, family, u.size - 1, family.weights(1.0), 1e-9)
+    found = solve(u, np.append(np.zeros(u.size - 1), 1.0))
+    if found is None or not found.extra.sound:
+        return False
+    return bool(np.min(np.abs(found.extra.multipliers - 1.0)) < _ONE)
 
 
 def _missing(model: Any, kind: str, reason: str = "") -> str:

@@ -36,27 +36,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
+from ..observers.base import Step
 from ..observers.samples import Trajectory
+from ..observers.section import AbstractSection
 from ..simulation.event_driven import EventDriven
-from ..simulation.run import simulate
+from ..simulation.run import Simulation, simulate
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion
+from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion, rates
+from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
-from .floquet import forcing_periods_of
-from .shooting import Shooting
+from .floquet import forcing_periods_of, multiplier_resolution
+from .shooting import SeenCycle, Shooting
+from .variational import ExtremesAndTrace
 
-KINDS = ("grazing", "release", "stick onset")
+# In the order of `CycleProperties.margins`.
+KINDS = ("grazing", "release", "stick onset", "two events")
+# Those at odd indices are touches, which may be those of a special cycle only.
+EVENTS = ("landing", "peak", "release", "turn")
 # Samples of a period, from which the order of events is read.
 _SAMPLES = 4000
 # Steps of order 8 in a phase, and in a time of 2 pi; below 1e-12 for the chain of the paper.
 _STEPS = 64
 # The greatest estimated error of a period.
 _ACCURATE = 1e-8
-_VALUES = ("landing", "peak", "release", "turn")
+# The most steps of an event-driven run over a period, and some for each mass: a search may try
+# absurd periods and laws.
+PERIOD_STEPS, STEPS_PER_MASS = 4_000, 400
 
 
 class CycleProperties(NamedTuple):
@@ -69,6 +78,8 @@ class CycleProperties(NamedTuple):
       with the sign -1, relative to the belt speed, the static limit or the period: a sequence
       whose margins are negative is that of the motion.
     - `rho`: -V_+ / V_- of a slip cycle that grazes, see `boundaries/grazing.py`; else NaN.
+    - `multipliers`: all but the trivial one, the greatest modulus first; `error`: the estimated
+      error of the integration; `amplitude`: half peak-to-peak of each displacement.
     """
 
     state: State
@@ -78,39 +89,55 @@ class CycleProperties(NamedTuple):
     sound: Bool[Array, ""]
     margins: Float[Array, " four"]
     rho: Float[Array, ""]
+    multipliers: Complex[Array, " others"]
+    error: Float[Array, ""]
+    amplitude: Float[Array, " n"]
 
 
 class Phases(eqx.Module):
     """The equations of a cycle: u = (y, t_0 if forced, tau_1 ... tau_K).
 
-    - `modes`: of each phase, the mode of each mass (see `solvers/dry_friction.py`).
-    - `events`: at the end of each phase (event, mass, sign of r at a release).
-    - `special`: (index of the event, kind, sign of r) of a special cycle, or None.
-    - `apart`: which events follow the one before after some time (at the end of a short stick its
-      landing is a "stick onset"); `onsets`: (event, mass, -1 if it sticks there) of landings that
-      are no image of the special event; `alike`: the masses that move like that of the special
-      event.
+    All about the sequence are arrays, so that sequences of as many events share a program.
+
+    - `modes` (K, n): of each phase, the mode of each mass (see `solvers/dry_friction.py`).
+    - `events` (K, 3): at the end of each phase (index in `EVENTS`, mass, sign of r at a release).
+    - `special`: (index of the event, index in `KINDS`, sign of r) of a special cycle, or None.
+    - `apart` (K,): which events follow the one before after some time (at the end of a short stick
+      its landing is a "stick onset"); `onsets` (K,): -1 at landings at which the mass sticks, 1 at
+      others, 0 at those like the special event; `alike` (n,): the masses that move like that of
+      the special event.
+    - `slips`: whether it is cut at the peak of a mass, and has no other event.
     - `parameter`, `m`, `forcing_periods`: as in `Shooting`; `steps` in each phase.
     """
 
     field: Any
-    modes: tuple[tuple[float, ...], ...] = eqx.field(static=True)
-    events: tuple[tuple[str, int, float], ...] = eqx.field(static=True)
-    special: tuple[int, str, float] | None = eqx.field(static=True)
+    modes: Int[Array | np.ndarray, "phases n"]
+    events: Int[Array | np.ndarray, "phases 3"]
+    special: Int[Array | np.ndarray, " 3"] | None
+    apart: Bool[Array | np.ndarray, " phases"]
+    onsets: Int[Array | np.ndarray, " phases"]
+    alike: Bool[Array | np.ndarray, " n"]
     m: int = eqx.field(static=True)
-    apart: tuple[bool, ...] = eqx.field(static=True, default=(True,))
-    onsets: tuple[tuple[int, int, float], ...] = eqx.field(static=True, default=())
-    alike: tuple[int, ...] = eqx.field(static=True, default=())
+    slips: bool = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=_STEPS)
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
     forcing_periods: int | None = eqx.field(static=True, default=None)
 
     at = Shooting.at
+    # A cycle keeps no symmetry by its equations; its phases are of order 8, to rounding.
+    shift, is_family = None, False
+    solver = EventDriven()
+    rtol = 1e-13
+
+    @property
+    def images(self) -> tuple[int, ...]:
+        """See `Shooting`."""
+        return tuple(range(self.n))
 
     @property
     def n(self) -> int:
         """The number of masses."""
-        return len(self.modes[0])
+        return np.shape(self.modes)[1]
 
     @property
     def size(self) -> int:
@@ -118,38 +145,43 @@ class Phases(eqx.Module):
         return self.m * self.n + (self.forcing_periods is not None) + len(self.events)
 
     @property
-    def slips(self) -> bool:
-        """Whether the cycle is cut at the peak of a mass, and has no other event."""
-        return len(self.events) == 1 and self.events[0][0] == "peak"
-
-    @property
-    def mass(self) -> int:
+    def mass(self) -> Any:
         """The mass at whose event the cycle is cut."""
         return self.events[-1][1]
+
+    @property
+    def sequence(self) -> list[tuple[str, int, float]]:
+        """(event, mass, sign) at the end of each phase; not for traced arrays."""
+        return [(EVENTS[e], i, float(sign)) for e, i, sign in np.asarray(self.events).tolist()]
 
     def unpack(self, u: Float[Array, " m"], *parameter: Any) -> tuple[Any, State, Array]:
         """(field, state at the start, period)."""
         d, count = self.m * self.n, len(self.events)
         return self.at(*parameter), tuple(jnp.split(u[:d], self.m)), jnp.sum(u[-count:])
 
+    def _scale(self, u: Array) -> Any:
+        """What the gaps of the return are divided by."""
+        still = not self.slips or self.forcing_periods is not None
+        return 1.0 if still else u[self.field.contact * self.n + self.mass]
+
     def touching(self, grazes: bool) -> Phases:
         """The same slip cycle, which grazes or not."""
-        return replace(self, special=(0, "grazing", 0.0) if grazes else None)
+        return replace(self, special=np.array([0, 0, 0]) if grazes else None)
 
     def swapped(self, k: int) -> Phases | None:
         """The order in which event k comes before the one before it; None for one mass."""
-        count, events, modes = len(self.events), list(self.events), list(self.modes)
-        if events[k][1] == events[k - 1][1]:
+        count, events, modes = len(self.events), *map(np.array, (self.events, self.modes))
+        if events[k, 1] == events[k - 1, 1]:
             return None
-        after, mass = modes[(k + 1) % count], events[k][1]
-        mode = list(modes[k - 1])
-        mode[mass] = after[mass]
-        modes[k], (events[k - 1], events[k]) = tuple(mode), (events[k], events[k - 1])
-        moved = {k: (k - 1) % count, (k - 1) % count: k}
-        special = self.special and (moved.get(self.special[0], self.special[0]), *self.special[1:])
-        onsets = tuple((moved.get(at, at), *rest) for at, *rest in self.onsets)
-        changed = {"events": tuple(events), "modes": tuple(modes), "special": special}
-        return replace(self, onsets=onsets, **changed)
+        order = np.arange(count)
+        order[[k - 1, k]] = order[[k, k - 1]]
+        own, mass = modes[k - 1].copy(), events[k, 1]
+        own[mass] = modes[(k + 1) % count, mass]
+        modes[k], special = own, self.special
+        if special is not None:
+            special = np.append(np.flatnonzero(order == np.asarray(special)[0]), special[1:])
+        changed = {"events": events[order], "onsets": np.asarray(self.onsets)[order]}
+        return replace(self, modes=modes, special=special, **changed)
 
     def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " equations"]:
         """The gaps of the return and of all events, that of the special one last."""
@@ -160,7 +192,7 @@ class Phases(eqx.Module):
         field, state, period = self.unpack(u, *parameter)
         durations, d = u[-len(self.events) :], self.m * self.n
         index, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
-        modes = jnp.asarray(self.modes)
+        modes = jnp.asarray(self.modes, float)
         scale = 1.0 + jnp.abs(field.belt_speed)
         begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
 
@@ -182,66 +214,99 @@ class Phases(eqx.Module):
                 w, r = contact(z)
                 return jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
 
+            def motion_of(z: Array, slope: Array) -> tuple[Array, Array, Array]:
+                """Displacements, velocities, accelerations of the first variable of each cell."""
+                v = 1 + self.m // 2 * self.n
+                return z[1 : self.n + 1], z[v : v + self.n], slope[v : v + self.n]
+
             def time(k: Any) -> Array:
                 return duration / (2 * jnp.pi) * graded(k * (2 * jnp.pi / self.steps))
 
             def step(k: Array, carry: Any) -> Any:
-                z, slope, highest, error = carry
+                z, slope, extent, highest, error = carry
                 h = time(k + 1) - time(k)
                 end, missed = step_of_order_8(rate, z, slope, h)
                 new = rate(end)
+                turned = turning_point(*motion_of(z, slope), *motion_of(end, new), h)
+                extent = jnp.stack(
+                    [jnp.minimum(extent[0], turned), jnp.maximum(extent[1], turned)]
+                )
                 sides, width = lax.stop_gradient((((z, slope), (end, new)), h))
                 (low, up), (high, down) = (jax.jvp(near, (p,), (s,)) for p, s in sides)
                 inside = (up > 0) & (down < 0)
                 inside &= ~((k == 0) & first) & ~((k == self.steps - 1) & last)
                 top = jnp.where(inside, peak(low, high, width * up, width * down), -1.0)
                 error += lax.stop_gradient(jnp.max(jnp.abs(missed)))
-                return end, new, jnp.maximum(highest, top), error
+                return end, new, extent, jnp.maximum(highest, top), error
 
-            start = z, rate(z), jnp.full(self.n, -1.0), jnp.zeros(())
-            z, slope, highest, error = lax.fori_loop(0, self.steps, step, start)
+            extent = jnp.stack([z[1 : self.n + 1]] * 2)
+            start = z, rate(z), extent, jnp.full(self.n, -1.0), jnp.zeros(())
+            z, slope, extent, highest, error = lax.fori_loop(0, self.steps, step, start)
             (w, r), (slowing, rising) = jax.jvp(contact, (z,), (slope,))
-            return z, (jnp.stack([w, slowing, r, rising]), highest, error)
+            return z, (jnp.stack([w, slowing, r, rising]), extent, highest, error)
 
-        # In the steps beside its own events a mass has no further one but by rounding.
-        around = np.zeros((2, len(self.events), self.n), bool)
-        for k, (event, i, _) in enumerate(self.events):
-            masses = [i, *(self.alike if event in ("peak", "turn") else ())]
-            around[0, (k + 1) % len(self.events), masses] = around[1, k, masses] = True
         start = jnp.concatenate([begin[None], *state])
-        given = modes, durations, jnp.asarray(around[0]), jnp.asarray(around[1])
-        z, (values, highest, errors) = lax.scan(phase, start, given)
+        ended = self._events_at_ends()
+        z, (values, extents, highest, errors) = lax.scan(
+            phase, start, (modes, durations, jnp.roll(ended, 1, axis=0), ended)
+        )
+        events, every = jnp.asarray(self.events), jnp.arange(len(self.events))
 
-        def value(k: int, event: str, sign: float) -> Array:
-            i = self.events[k][1]
-            at = sign * limit[i] if event == "release" else 0.0
-            return values[k, _VALUES.index(event), i] - at
+        def value(k: Any, event: Any, mass: Any, sign: Any) -> Array:
+            at = jnp.where(event == EVENTS.index("release"), sign * limit[mass], 0.0)
+            return values[k, event, mass] - at
 
-        gap = z[1:] - u[:d]
-        if self.slips:  # or steady sliding would be a solution
-            gap = gap / state[index][self.mass]
-        gaps = [gap, *(value(k, e, sign)[None] for k, (e, _, sign) in enumerate(self.events))]
+        gap = (z[1:] - u[:d]) / self._scale(u)  # or steady sliding would be a solution
+        gaps = [gap, jax.vmap(value)(every, *events.T)]
         if self.forcing_periods is not None:
             gaps.append((period - self.forcing_periods * to_float(field.forcing_period()))[None])
         if self.special is not None:
-            k, kind, sign = self.special
-            gaps.append(value(k, "landing" if kind == "grazing" else "release", sign)[None])
+            k, kind, sign = jnp.asarray(self.special)
+            event = jnp.where(kind == 0, EVENTS.index("landing"), EVENTS.index("release"))
+            own = value(k, event, events[k, 1], sign)
+            gaps.append(jnp.where(kind == KINDS.index("two events"), durations[k], own)[None])
         margins = self._margins(values, highest, durations, limit)
-        return jnp.concatenate(gaps), (margins, jnp.sum(errors))
+        amplitude = (jnp.max(extents[:, 1], axis=0) - jnp.min(extents[:, 0], axis=0)) / 2
+        return jnp.concatenate(gaps), (margins, jnp.sum(errors), amplitude)
+
+    def _events_at_ends(self) -> Bool[Array, "phases n"]:
+        """Which masses have an event at the end of each phase, also with others at one time.
+
+        In the steps beside these a mass has no further one but by rounding.
+        """
+        events, apart = jnp.asarray(self.events), jnp.asarray(self.apart)
+        group = jnp.cumsum(apart)
+        group = jnp.where(group == 0, group[-1], group)
+        touch = jnp.outer(events[:, 0] % 2, jnp.asarray(self.alike)) > 0
+        own = (events[:, 1][:, None] == jnp.arange(self.n)[None]) | touch
+        together = group[:, None] == group[None]
+        return together.astype(int) @ own.astype(int) > 0
 
     def _margins(self, values: Array, highest: Array, durations: Array, limit: Array) -> Array:
         """See `CycleProperties`."""
-        stick, none = jnp.asarray(self.modes) == STICK, jnp.asarray([-1.0])
-        onset = [s * (1.0 - jnp.abs(values[k, 2, i]) / limit[i]) for k, i, s in self.onsets]
-        apart = [-durations[k] / jnp.sum(durations) for k, far in enumerate(self.apart) if far]
+        stick, masses = jnp.asarray(self.modes) == STICK, jnp.asarray(self.events)[:, 1]
+        signs = jnp.asarray(self.onsets)
+        shares = jnp.abs(values[jnp.arange(len(signs)), EVENTS.index("release"), masses])
+        onsets = jnp.where(signs == 0, -1.0, signs * (1.0 - shares / limit[masses]))
+        apart = jnp.where(jnp.asarray(self.apart), -durations / jnp.sum(durations), -1.0)
         margins = [
             jnp.max(jnp.where(stick, -1.0, highest)),
             jnp.max(jnp.where(stick, highest, -1.0)),
-            *(jnp.max(jnp.append(none, jnp.asarray(part))) for part in (onset, apart)),
+            jnp.maximum(jnp.max(onsets), -1.0),
+            jnp.max(apart),
         ]
         return lax.stop_gradient(jnp.stack(margins))
 
-    def linearise(
+    def seen(self, u: Float[Array, " m"], *parameters: Any) -> SeenCycle:
+        """The cycle, with derivatives."""
+        _, state, period = self.unpack(u, *parameters)
+        return SeenCycle(state, period, self.run(u, *parameters)[1][2])
+
+    def weights(self, p: float) -> np.ndarray:
+        """Of the norm of steps."""
+        return np.append(np.full(self.size, self.size**-0.5), 1.0 / (abs(p) or 1.0))
+
+    def cycle(
         self, u: Float[Array, " m"], *parameter: Any
     ) -> tuple[Float[Array, " equations"], Float[Array, "equations more"], CycleProperties]:
         """(`residual`, its slopes in u and the parameters, `CycleProperties`)."""
@@ -251,7 +316,7 @@ class Phases(eqx.Module):
             gaps, seen = self.run(z[: u.size], *z[u.size :])
             return gaps, (gaps, seen)
 
-        slopes, (gaps, (margins, error)) = jax.jacfwd(both, has_aux=True)(z)
+        slopes, (gaps, (margins, error, amplitude)) = jax.jacfwd(both, has_aux=True)(z)
         field, state, period = self.unpack(u, *parameter)
         j = field.contact * self.n + self.mass
         rho = jnp.nan * period
@@ -259,13 +324,35 @@ class Phases(eqx.Module):
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
             cut = jax.jacfwd(lambda z: z[j] - self.unpack(u, *z[u.size :])[0].belt_speed)(z)
             square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
-            right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0).at[1, j].set(1.0 / u[j])
+            right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0)
+            right = right.at[1, j].set(1.0 / self._scale(u))
             along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
             rho = 1.0 - along / arriving
         speed = jnp.abs(u[j]) if self.slips else jnp.inf * period
         below = jnp.sign(field.belt_speed) * (field.belt_speed - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
-        return gaps, slopes, CycleProperties(state, period, speed, below, sound, margins, rho)
+        rest = self._multipliers(u, slopes), error, amplitude
+        properties = CycleProperties(state, period, speed, below, sound, margins, rho, *rest)
+        return gaps, slopes, properties
+
+    def _multipliers(self, u: Array, slopes: Array) -> Complex[Array, " others"]:
+        """Those of the return to the last event, in the state and, if forced, its time.
+
+        dz_1 = A dz + B dtau with 0 = E dz + G dtau for the durations, so that the jumps of the
+        derivative at events are exact, and a mass that sticks has a multiplier 0.
+        """
+        m, k, d = u.size, len(self.events), self.m * self.n
+        end = self._scale(u) * slopes[:d, :m] + jnp.eye(d, m)
+        if self.forcing_periods is not None:
+            end = jnp.concatenate([end, jnp.ones((1, m)).at[0, :d].set(0.0)])
+        events = slopes[d : d + k, :m]
+        back = jnp.linalg.solve(events[:, m - k :], events[:, : m - k])
+        matrix = end[:, : m - k] - end[:, m - k :] @ back
+        values = jnp.linalg.eigvals(matrix)
+        # What a stick erases is 0, and one more: no disturbance leaves the section.
+        least = jnp.maximum(multiplier_resolution(matrix), multiplier_resolution(jnp.eye(1)))
+        values = jnp.where(jnp.abs(values) < least, 0.0, values)
+        return values[jnp.argsort(-jnp.abs(values))[:-1]]
 
 
 def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
@@ -280,6 +367,99 @@ def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
     return jnp.maximum(jnp.maximum(v0, v1), v0 + t * (slope0 + t * (b + t * a)))
 
 
+def turning_point(
+    x0: Array, v0: Array, a0: Array, x1: Array, v1: Array, a1: Array, h: Array
+) -> Array:
+    """x where v is 0 between two points at a distance h, or x1; by the polynomial of degree 5."""
+    c = [x0, h * v0, h**2 * a0 / 2]
+    value, slope, bend = x1 - sum(c), h * v1 - c[1] - 2 * c[2], h**2 * a1 - 2 * c[2]
+    c += [10 * value - 4 * slope + bend / 2, -15 * value + 7 * slope - bend]
+    c += [6 * value - 3 * slope + bend / 2]
+    rates = [k * a for k, a in enumerate(c)][1:]
+    bends = [k * a for k, a in enumerate(rates)][1:]
+
+    def at(coefficients: list[Array], share: Array) -> Array:
+        total = jnp.zeros_like(x0)
+        for a in reversed(coefficients):
+            total = total * share + a
+        return total
+
+    inside = v0 * v1 < 0
+    share = jnp.where(inside, v0 / jnp.where(inside, v0 - v1, 1.0), 0.0)
+    for _ in range(3):
+        bend = at(bends, share)
+        share = jnp.clip(share - at(rates, share) / jnp.where(bend == 0, jnp.inf, bend), 0.0, 1.0)
+    return jnp.where(inside, at(c, share), x1)
+
+
+class Cuts(AbstractSection):
+    """States in which a mass is released by the belt, or is fastest while it slides behind it."""
+
+    def _slope(self, step: Step, theta: Any, y: State) -> Array:
+        field: Any = step.field
+        return field.belt_direction() * slipping(field, step.time(theta), y)[self.oscillator]
+
+    def _slope_after(self, step: Step, last: Array) -> Array:
+        del step
+        return last
+
+
+def slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
+    """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
+    mu = model.law.coefficient(jnp.abs(y[model.contact] - model.belt_speed))
+    free, backward = model.accelerations(t, y), -model.belt_direction()
+    return rates(model, free, mu, backward)[model.contact - len(free)]
+
+
+class DryRun(eqx.Module):
+    """Event-driven runs over a period, from the state at which a dry cycle is cut.
+
+    That is where mass `mass` is released by the belt, or fastest; of a forced cycle at t = 0.
+    """
+
+    field: Any
+    rtol: Any
+    mass: int = eqx.field(static=True)
+    forcing_periods: int | None = eqx.field(static=True)
+
+    def over(self, state: State, time: Any, observe: Any, t0: Any = 0.0) -> Simulation:
+        """A run for `time`."""
+        return simulate(
+            self.field, state, t0 + time, t0=t0, observe=observe, solver=EventDriven(),
+            rtol=self.rtol, max_steps=PERIOD_STEPS + STEPS_PER_MASS * state[0].size, throw=False,
+        )  # fmt: skip
+
+    def from_the_cut(
+        self, state: State, period: Array, t0: Any = None
+    ) -> tuple[State, State, Any]:
+        """(the state at the cut, that a period later, what `ExtremesAndTrace` sees on the way).
+
+        `t0`: the time of `state`, if it is not that of the cut of a forced cycle.
+        """
+
+        def once_round(state: State, given: tuple[Array, Array]) -> tuple[State, Any]:
+            begin, time = given
+            cuts = [Cuts(self.mass, 1, of="velocity")] if self.forcing_periods is None else []
+            run = self.over(state, time, [*cuts, ExtremesAndTrace()], begin)
+            *cut, along = run.observed
+            there = run.state
+            for _, *parts in cut:
+                there = on_the_belt(self.field, 0.0, tuple(part[0] for part in parts))[0]
+            return there, (state, run.state, along)
+
+        # A run that is compiled once; first a little more than a period, for an orbit that begins
+        # at the cut.
+        zero, times = jnp.zeros(()), [(jnp.zeros(()), period)]
+        if self.forcing_periods is None:
+            times.insert(0, (zero, 1.05 * period))
+        elif t0 is not None:
+            forced = to_float(self.field.forcing_period())
+            times.insert(0, (t0, jnp.ceil(t0 / forced) * forced - t0))
+        given = jnp.stack([time for time, _ in times]), jnp.stack([time for _, time in times])
+        _, seen = lax.scan(once_round, state, given)
+        return jax.tree.map(lambda leaf: leaf[-1], seen)
+
+
 class _Event(NamedTuple):
     """An event at sample `k`, the first one after it; `sign` is that of r."""
 
@@ -289,20 +469,34 @@ class _Event(NamedTuple):
     sign: float
 
 
+def phases_from(
+    field: Any, modes: Any, events: Any, special: Any, m: int, apart: Any = (True,),
+    onsets: Any = (0,), alike: Any = (), **how: Any,
+) -> Phases:  # fmt: skip
+    """`Phases` from lists: of modes, of (event, mass, sign), of masses; (event, kind, sign)."""
+    events, modes = [(EVENTS.index(e), i, sign) for e, i, sign in events], np.array(modes, int)
+    slips = len(events) == 1 and EVENTS[events[0][0]] == "peak"
+    if special is not None:
+        k, kind, sign = special
+        special = np.array([k, KINDS.index(kind), sign], int)
+    same = np.isin(np.arange(modes.shape[1]), alike)
+    some = np.array(events, int), special, np.array(apart, bool), np.array(onsets, int), same
+    return Phases(field, modes, *some, m, slips, **how)
+
+
 def slip_phases(
     chain: Dry, state: State, period: Any, mass: int, grazes: bool
 ) -> tuple[Phases, Float[Array, " m"]]:
     """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
-    mode = (-float(np.sign(chain.belt_speed)),) * state[0].shape[
-        0
-    ]  # `jnp` would trace it in `jit`
+    # `jnp` would trace it in `jit`
+    mode = (-float(np.sign(chain.belt_speed)),) * state[0].shape[0]
     special = (0, "grazing", 0.0) if grazes else None
-    phases = Phases(chain, (mode,), (("peak", mass, 0.0),), special, len(state))
+    phases = phases_from(chain, [mode], [("peak", mass, 0.0)], special, len(state))
     return phases, jnp.append(jnp.concatenate(state), period)
 
 
 def phases_of(
-    chain: Dry, state: State, period: Any, kind: str, mass: int
+    chain: Dry, state: State, period: Any, kind: str | None = None, mass: int = 0
 ) -> tuple[Phases, Float[Array, " m"]]:
     """(the equations, their unknowns) of a cycle with dry friction, from an event-driven run.
 
@@ -324,12 +518,17 @@ def phases_of(
         released = modes[k - 1, i] == STICK
         sign = modes[k, i] if released else np.sign(r[k, i])
         events.append(_Event(k, "release" if released else "landing", i, float(sign)))
-    special = _closest(kind, mass, events, modes, w, r, np.asarray(chain.static_limit()))
-    if kind != "stick onset":
-        events = sorted([*events, special])
+    special = None
+    if kind is not None or not events:  # a slip cycle is cut at a peak
+        special = _closest(
+            kind or "grazing", mass, events, modes, w, r, np.asarray(chain.static_limit())
+        )
+        if kind != "stick onset":
+            events = sorted([*events, special])
+        special = None if kind is None else special
     # The cycle begins after the event that the longest phase follows.
     ks = np.array([event.k for event in events])
-    lengths = (np.roll(ks, -1) - ks - 1) % _SAMPLES + 1
+    lengths = (np.roll(ks, -1) - ks) % _SAMPLES if len(ks) > 1 else np.array([_SAMPLES])
     first = int(np.argmax(lengths)) + 1
     events, lengths = events[first:] + events[:first], np.roll(lengths, 1 - first)
     begin = events[-1].k
@@ -344,29 +543,28 @@ def phases_of(
         a, b = (np.roll(w[:, e.mass], -e.k) for e in (event, one))
         return bool(min(np.max(np.abs(a - b)), np.max(np.abs(a + b))) < 1e-2 * np.ptp(a))
 
-    onsets, alike = [], []
+    onsets, alike = [0] * len(events), ()
     for k, event in enumerate(events):
-        if event.event == "landing" and not is_alike(event, special):
-            sticks = modes[event.k, event.mass] == STICK
-            onsets.append((k, event.mass, -1.0 if sticks else 1.0))
-    for i in range(w.shape[1]):
-        alike += [i] if is_alike(special._replace(mass=i), special) else []
+        if event.event == "landing" and not (special and is_alike(event, special)):
+            onsets[k] = -1 if modes[event.k, event.mass] == STICK else 1
+    if special is not None:
+        alike = [i for i in range(w.shape[1]) if is_alike(special._replace(mass=i), special)]
     durations = lengths * (float(period) / _SAMPLES)
     u = np.concatenate([*(part[begin] for part in samples), durations])
     if chain.forcing_period() is not None:
         u = np.insert(u, u.size - len(events), times[begin])
-    phases = Phases(
-        field=chain,
-        modes=tuple(sequence),
-        events=tuple(event[1:] for event in events),
-        special=(events.index(special), kind, special.sign),
-        apart=tuple(
+    phases = phases_from(
+        chain,
+        sequence,
+        [event[1:] for event in events],
+        special=special and (events.index(special), kind, special.sign),
+        apart=[
             bool(length > 2)
             and (event.event, one.event, one.mass) != ("release", "landing", event.mass)
             for length, one, event in zip(lengths, events[-1:] + events[:-1], events, strict=True)
-        ),
-        onsets=tuple(onsets),
-        alike=tuple(alike),
+        ],
+        onsets=onsets,
+        alike=alike,
         steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
         m=len(state),
         forcing_periods=forcing_periods_of(chain, period),

@@ -18,6 +18,10 @@ same holds for other cells, whose m variables are all unknown; z replaces their 
 
 An orbit with x_motion[n](t + T / k) = x_n(t), a `shift`, returns after T / k already, moved.
 
+Without damping an orbit is one of a family, and its return determines one number less: energy is
+conserved, so that if all else returns, the greatest velocity does.  Its gap gives way to an
+equation for the period, which is the parameter of the family.
+
 A forced orbit is cut at t = 0, and its period is a multiple of that of the force: the m N
 variables are the only unknowns, and their return gives the only equations.
 """
@@ -33,7 +37,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
@@ -42,7 +46,45 @@ from ..model.model import AbstractModel
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
+from .floquet import is_trusted, orbit_multipliers
 from .variational import Period, Shift, flow, linearised_period
+
+# The greatest gap of the greatest velocity, over itself, of a family of cycles.
+_RETURNS = 1e-6
+
+
+class CycleLinearisation(eqx.Module):
+    """Further results of `Shooting.cycle`.
+
+    - `state`: that on the section; `period`.
+    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
+    - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
+    - `amplitude` (n,): half peak-to-peak of each displacement over a period.
+    - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v); `part`: Q of
+      `Period`, which is M without a shift.
+    - `multipliers` (2n - 1,): the nontrivial ones, the greatest modulus first; `trivial_defect`
+      = |M f - f| / |f|.
+    - `sound`: whether it can be a cycle, and its trivial multiplier is 1.
+    """
+
+    state: State
+    period: Float[Array, ""]
+    speed: Float[Array, ""]
+    times_round: Int[Array, ""]
+    amplitude: Float[Array, " n"]
+    monodromy: Float[Array, "two_n two_n"]
+    part: Float[Array, "two_n two_n"]
+    multipliers: Complex[Array, " others"]
+    trivial_defect: Float[Array, ""]
+    sound: Bool[Array, ""]
+
+
+class SeenCycle(NamedTuple):
+    """What a user's own event may depend on, to be followed in two parameters."""
+
+    state: State
+    period: Float[Array, ""]
+    amplitude: Float[Array, " n"]
 
 
 class Shooting(eqx.Module):
@@ -56,7 +98,7 @@ class Shooting(eqx.Module):
       index of the mass that moves like mass n, `images[i] = i` for those solved for.  None: no
       symmetry.
     - `parameter`: the argument of `Chain.with_` that is the parameter of the residual, a tuple of
-      several, or None.
+      several, or None; "period" for a family of orbits, see `is_family`.
     - `m`: the number of variables of a cell.
     - `forcing_periods`: the number of periods of the force in the orbit's; None without forcing.
     - `shift`: (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), or None.
@@ -113,9 +155,14 @@ class Shooting(eqx.Module):
         """The number of unknowns."""
         return self._starts[-1] + (self.forcing_periods is None)
 
+    @property
+    def is_family(self) -> bool:
+        """Whether its orbit is one of a family over its period, as without damping."""
+        return self.parameter == "period" and not self.field.has_parameter("period")
+
     def at(self, *parameter: Any) -> AbstractModel:
         """The field with the parameter, or several, set."""
-        if self.parameter is None:
+        if self.parameter is None or self.is_family:
             return self.field
         if self.parameter == "belt_speed":  # the usual one, without the checks of a new chain
             return eqx.tree_at(lambda f: f.belt_speed, self.field, *parameter)
@@ -129,6 +176,8 @@ class Shooting(eqx.Module):
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = jnp.arcsinh((parts[contact] - belt) / width)
+        elif self.is_family:
+            parts[contact] = jnp.where(self._own, jnp.log(parts[contact]), parts[contact])
         rows = [self.others, *[self.solved] * (self.m - 1)]
         numbers = [part[jnp.asarray(row, int)] for part, row in zip(parts, rows, strict=True)]
         if self.forcing_periods is None:
@@ -152,6 +201,8 @@ class Shooting(eqx.Module):
         belt, width = _layer(field, parts[contact])
         if width is not None:
             parts[contact] = belt + width * jnp.sinh(parts[contact])
+        elif self.is_family:
+            parts[contact] = jnp.where(self._own, jnp.exp(parts[contact]), parts[contact])
         if not self.balanced:
             return field, tuple(parts), period
         field = cast(AbstractOscillators, field)
@@ -205,6 +256,48 @@ class Shooting(eqx.Module):
         jacobian = direct + jnp.concatenate(by_end, axis=1) @ end
         return gap(z, whole.end), jacobian, whole
 
+    def cycle(
+        self, u: Float[Array, " m"], *parameters: Any
+    ) -> tuple[Float[Array, " m"], Float[Array, "m more"], CycleLinearisation]:
+        """(R, [R_u R_p], `CycleLinearisation`), from one integration."""
+        r, jacobian, whole = self.linearise(u, *parameters)
+        field, state, period = self.unpack(u, *parameters)
+        f = None if self.forcing_periods else jnp.concatenate(field(0.0, state))
+        floquet = orbit_multipliers(whole.monodromy, f)
+        sound = field.can_be_cycle(period, whole.fastest)
+        if self.is_family:
+            sound &= jnp.abs(self.gap(u, whole.end)[self._lost]) < _RETURNS
+        extra = CycleLinearisation(
+            state,
+            period,
+            field.belt_direction() * field.value_and_rate(0.0, state)[1][self.mass],
+            whole.returned.times_round,
+            whole.amplitude,
+            whole.monodromy,
+            whole.part,
+            floquet.multipliers,
+            floquet.defect,
+            sound & is_trusted(floquet.multipliers, floquet.defect),
+        )
+        return r, jacobian, extra
+
+    def seen(self, u: Float[Array, " m"], *parameters: Any) -> SeenCycle:
+        """The cycle, with derivatives."""
+        field, state, period = self.unpack(u, *parameters)
+        numerics = {"rtol": self.rtol, "solver": self.solver}
+        _, _, (amplitude,) = flow(field, state, period, observers=[Amplitude()], **numerics)
+        return SeenCycle(state, period, amplitude)
+
+    def weights(self, p: float) -> np.ndarray:
+        """All masses except j share one unit; z_j, ln T and p / p_start have one each."""
+        m = self.size
+        weights = np.full(m + 1, len(self.solved) ** -0.5)
+        weights[self.z_index] = 1.0
+        if self.forcing_periods is None:
+            weights[m - 1] = 1.0
+        weights[m] = 1.0 / (abs(p) or 1.0)
+        return weights
+
     def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
         """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
 
@@ -241,12 +334,34 @@ class Shooting(eqx.Module):
             return gaps
         if not self.balanced:
             gaps = jnp.append(gaps, field.second_rate(0.0, state)[self.mass])
-        return gaps / field.value_and_rate(0.0, state)[1][self.mass]
+        gaps = gaps / field.value_and_rate(0.0, state)[1][self.mass]
+        if self.is_family and parameter:
+            gaps = gaps.at[self._lost].set(u[-1] - jnp.log(parameter[0]))
+        return gaps
+
+    @property
+    def _own(self) -> np.ndarray:
+        """The masses whose unknown is the logarithm of the greatest velocity, for a family.
+
+        So it ends at a small amplitude, and does not go on into its mirror image.
+        """
+        return np.array(self.images) == self.images[self.mass]
+
+    @property
+    def _lost(self) -> int:
+        """The index in `gap` of that of the greatest velocity."""
+        contact = min(self.field.contact, self.m - 1)
+        return contact * len(self.solved) + self.solved.index(self.mass)
 
 
-def residual(u: Float[Array, " m"], parameter: Any, shooting: Shooting) -> Float[Array, " m"]:
-    """`Shooting.residual` as a plain function, which is the same object in every call."""
-    return shooting.residual(u, parameter)
+def residual(u: Float[Array, " m"], parameter: Any, orbit: Any) -> Float[Array, " m"]:
+    """The equations of a cycle as a plain function, which is the same object in every call."""
+    return orbit.residual(u, parameter)
+
+
+def linearise(u: Float[Array, " m"], parameter: Any, orbit: Any) -> tuple[Array, Array, Any]:
+    """(R, [R_u R_p], further results) of the equations of a cycle, in the same way."""
+    return orbit.cycle(u, parameter)
 
 
 def _layer(field: AbstractModel, v: Array) -> tuple[Any, Any]:

@@ -111,7 +111,7 @@ def death_belt_speed(
 
     the vibration of one mass with this additional damping ends at the fold.  `chain` is one mass;
     `fold` gives the belt speed up to which its vibration survives, such as
-    `jaxchain.boundaries.dry_fold_belt_speed`.
+    `fold_belt_speed` of a dry chain.
     """
     eta = jnp.asarray(coupling, float)
 

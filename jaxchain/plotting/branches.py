@@ -46,6 +46,7 @@ MARKS: dict[str, tuple[str, str, str]] = {
     "grazing": ("h", SKY, "grazing"),
     "release": ("<", ORANGE, "release"),
     "stick onset": (">", GREEN, "stick onset"),
+    "two events": ("d", BLUE, "two events"),
 }
 # Points of a curve of special points at which more happens.
 CURVE_MARKS = {
@@ -202,7 +203,7 @@ def plot_special_curves(
             of = [str(kind) for kind in d["point_kind"].values]
             starts = [k for k in range(len(of)) if k == 0 or of[k] != of[k - 1]]
             for begin, end in itertools.pairwise([*starts, len(of)]):
-                _, colour, word = MARKS[of[begin]]
+                _, colour, word = MARKS.get(of[begin], ("", PURPLE, of[begin]))
                 colour = BLUE if colour == "white" else colour
                 to = slice(max(begin - 1, 0), end)  # from the end of the piece before it
                 line: Any = smooth(x[to], y[to])

@@ -24,7 +24,7 @@ import xarray as xr
 from .._limits import MOST_LANES
 from ..boundaries.fold import find_fold
 from ..boundaries.hopf import hopf_belt_speed
-from ..boundaries.single_mass import one_mass_branch
+from ..cycles.branches import continue_cycle
 from ..model.cells import AbstractCells
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
@@ -409,23 +409,41 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
         return None
     # Down to where the runs begin; the sweep may lie above the fold altogether.
     lowest = min(max(float(np.min(grid["belt_speed"])), 0.05), 0.5 * float(fold.belt_speed))
-    branch = one_mass_branch(chain, lowest, fold)
-    exists = np.isfinite(branch.belt_speed)
-    stable = np.arange(exists.size) > branch.fold
+    at_fold = chain.with_(belt_speed=fold.belt_speed), fold.state, fold.period
+    # Lengths of the sides: on the slip cycles asinh(max w / eps) covers about asinh(v_d / eps).
+    slipping = float(np.arcsinh(fold.belt_speed / chain.width)) + 3.0
+    sides, cuts = [], []
+    for direction, length, least in ("slip", slipping, 0.0), ("stick", 5.0, lowest):
+        side = continue_cycle(
+            *at_fold, direction=direction, step=length / 72, max_step=length / 72, max_points=73,
+            bounds=(least, np.inf), keep_part=False,
+        )  # fmt: skip
+        sides.append(np.stack([side.parameter, side.amplitude[:, 0], side.period]))
+        if side.ended != "left_bounds" and not side.of_kind("hopf"):
+            last = f"{side.parameter[-1]:.6g}"
+            cuts.append(f"The {direction} cycles end at belt speed {last}. {side.message}")
+    slip, stick = sides
+    # Steady sliding, with the period of the smallest cycle found.
+    hopf = [[float(hopf_belt_speed(chain))], [0.0], slip[2:, -1]]
+    rows = np.concatenate([hopf, slip[:, :0:-1], stick], axis=1)
+    stable = np.arange(rows.shape[1]) > slip.shape[1]
     variables: dict[str, Any] = {
-        "stable": ("point", stable[exists], {"long_name": "whether the cycle is stable"})
+        "stable": ("point", stable, {"long_name": "whether the cycle is stable"})
     }
-    for name, words, units, at_fold in (
-        ("belt_speed", "belt speed v_d", "x0 omega_n", "belt speed v_d of the fold"),
-        ("amplitude", "amplitude A, half peak-to-peak", "x0", "amplitude A at the fold"),
-        ("period", "period", "1 / omega_n", ""),
+    for values, (name, words, units, at_top) in zip(
+        rows,
+        (
+            ("belt_speed", "belt speed v_d", "x0 omega_n", "belt speed v_d of the fold"),
+            ("amplitude", "amplitude A, half peak-to-peak", "x0", "amplitude A at the fold"),
+            ("period", "period", "1 / omega_n", ""),
+        ),
+        strict=True,
     ):
-        values, attrs = getattr(branch, name), {"long_name": words, "units": units}
-        variables[name] = "point", np.asarray(values)[exists], attrs
-        if at_fold:
-            attrs = attrs | {"long_name": at_fold}
-            variables[f"fold_{name}"] = (), float(values[branch.fold]), attrs
-    return xr.Dataset(variables, attrs={"cut_off": branch.cut_off} if branch.cut_off else {})
+        attrs = {"long_name": words, "units": units}
+        variables[name] = "point", values, attrs
+        if at_top:
+            variables[f"fold_{name}"] = (), values[slip.shape[1]], attrs | {"long_name": at_top}
+    return xr.Dataset(variables, attrs={"cut_off": " ".join(cuts)} if cuts else {})
 
 
 def origin_attributes(command: str = "") -> dict[str, str]:

@@ -300,7 +300,7 @@ class EventDrivenPlan(AbstractPlan):
         times: Sequence[Array] = (),
         adjoint: Any = None,
         recorded: int | None = None,
-    ) -> tuple[Progress, list[tuple[Array, Array]]]:
+    ) -> tuple[Progress, list[tuple[Array, ...]]]:
         del recorded  # steps end at events, to rounding
         dry = _dry(field)
         most = most_steps(progress, max_steps, allowed)

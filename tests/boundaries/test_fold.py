@@ -13,13 +13,13 @@ from witnesses.smoothed import OneMass
 from jaxchain import (
     Amplitude,
     EventDriven,
-    dry_fold_belt_speed,
+    find_fold,
     fold_belt_speed,
     hopf_belt_speed,
     paper_chain,
     simulate,
 )
-from jaxchain.boundaries import find_fold, find_grazing
+from jaxchain.boundaries import Grazing
 from jaxchain.boundaries.fold import first_guess, value_and_jacobian
 from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
@@ -128,13 +128,14 @@ def test_gradients_are_central_differences():
     def speed(values):
         return fold_belt_speed(chain.with_(**dict(zip(NAMES, values, strict=True))))
 
-    at = jnp.asarray([0.05, 0.5, 1.0, 0.5, 0.02])
-    gradient = jax.jit(jax.grad(speed))(at)
-    batch = jax.jit(jax.vmap(speed))
-    h = 1e-4 * at
-    shifts = jnp.diag(h)
-    differences = (batch(at[None, :] + shifts) - batch(at[None, :] - shifts)) / (2 * h)
-    np.testing.assert_allclose(gradient, differences, rtol=1e-5)
+    gradient, batch = jax.jit(jax.grad(speed)), jax.jit(jax.vmap(speed))
+    # In the second set the slip cycle multiplies disturbances by more than 1e20.
+    for numbers in ([0.05, 0.5, 1.0, 0.5, 0.02], [0.05, 0.4, 1.0, 1e-3, 1e-4]):
+        at = jnp.asarray(numbers)
+        h = 1e-4 * at
+        shifts = jnp.diag(h)
+        differences = (batch(at[None, :] + shifts) - batch(at[None, :] - shifts)) / (2 * h)
+        np.testing.assert_allclose(gradient(at), differences, rtol=1e-5)
 
 
 @pytest.mark.long
@@ -252,7 +253,7 @@ def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
 @pytest.mark.long
 def test_any_width_has_its_fold():
     """Down to widths that no integration resolves; without a step where the asymptotics begin."""
-    dry = float(dry_fold_belt_speed(paper_chain(1)))
+    dry = float(fold_belt_speed(paper_chain(1, width=None)))
     numbers = np.array([[0.05, 0.5, 0.5, w] for w in (1e-7, 3e-8, 3e-9, 1e-12, 1e-30)])
     folds, _ = wild_folds(numbers)
     assert bool(jnp.all(folds.successful))
@@ -266,7 +267,8 @@ def test_any_width_has_its_fold():
     folds, _ = wild_folds([[0.05, 0.5, 0.5, w] for w in around])
     np.testing.assert_allclose(folds.belt_speed[0], folds.belt_speed[1], rtol=1e-9)
     # The formula that is used below, tried above, where the search knows better.
-    asymptotic = jax.vmap(find_grazing(paper_chain(1)).smoothed)(jnp.asarray(around[2:]))
+    grazing = cast(Grazing, find_fold(paper_chain(1, width=None)))
+    asymptotic = jax.vmap(grazing.smoothed)(jnp.asarray(around[2:]))
     np.testing.assert_allclose(asymptotic, folds.belt_speed[2:], rtol=2e-9)
 
 
@@ -276,9 +278,9 @@ def test_below_the_least_width_gradients_are_those_of_dry_friction():
         return fold_belt_speed(paper_chain(1).with_(damping_ratio=xi, width=width))
 
     slopes = jax.jit(jax.grad(speed, (0, 1)))(0.05, 1e-9)
-    dry = jax.grad(lambda xi: dry_fold_belt_speed(paper_chain(1).with_(damping_ratio=xi)))
+    dry = jax.grad(lambda xi: fold_belt_speed(paper_chain(1, width=None).with_(damping_ratio=xi)))
     np.testing.assert_allclose(slopes[0], dry(0.05), rtol=1e-5)
-    grazing = find_grazing(paper_chain(1))
+    grazing = cast(Grazing, find_fold(paper_chain(1, width=None)))
     np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)
 
 
@@ -293,7 +295,9 @@ def test_a_search_that_fails_says_so_and_claims_nothing():
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("numbers", "least"), [(wild_sets(7, 30), 25), (steep_sets(8, 20), 20)], ids=["wild", "steep"]
+    ("numbers", "least"),
+    [(wild_sets(7, 30), 25), (steep_sets(8, 20, 0.001), 20)],
+    ids=["wild", "steep"],
 )
 def test_no_claim_about_a_wild_set_is_contradicted_by_a_run(numbers, least):
     folds, _, _, wrong, missed = claims(numbers)
@@ -304,14 +308,18 @@ def test_no_claim_about_a_wild_set_is_contradicted_by_a_run(numbers, least):
 @pytest.mark.long
 def test_folds_are_found_for_every_multiplier_of_the_slip_cycle():
     """Their gap to the asymptotics, which come from dry friction alone, is C width^(3/2)."""
-    numbers = steep_sets(8, 60)
+    numbers = steep_sets(8, 60, 0.001)
     folds, _ = wild_folds(numbers)
-    dry = jax.vmap(lambda one: find_grazing(wild_chain(one)))(jnp.asarray(numbers))
-    np.testing.assert_array_equal(folds.successful, dry.successful)
+    dry: Any = jax.lax.map(
+        lambda one: find_fold(wild_chain(one).with_(width=None)), jnp.asarray(numbers)
+    )
+    assert bool(jnp.all(folds.successful & dry.successful))
     multiplier = np.asarray(-dry.slope_plus / dry.slope_minus)
+    assert np.sum(multiplier > 1e8) >= 30
+    assert np.sum(multiplier > 0.99e15) >= 15
     speeds = np.minimum(dry.belt_speed, 2.0 * numbers[:, 2])
     shares = np.array([1e-4, 1e-5, 1e-6])
-    for least, most in ((1e2, 1e4), (1e4, 1e8), (1e8, 1e12), (1e12, 1e16)):
+    for least, most in ((1e2, 1e4), (1e4, 1e8), (1e8, 1e12), (1e12, 1e14), (0.99e15, 1e16)):
         which = np.flatnonzero((multiplier > least) & (multiplier < most))[0]
         some = np.repeat(numbers[which][None], 3, axis=0)
         some[:, 3] = speeds[which] * shares
@@ -320,7 +328,7 @@ def test_folds_are_found_for_every_multiplier_of_the_slip_cycle():
         gaps = (found - jax.vmap(expected)(jnp.asarray(some[:, 3]))) / speeds[which]
         constants = gaps / shares**1.5
         np.testing.assert_allclose(constants, constants[1], rtol=0.08)
-        assert abs(constants[1]) < 1600.0
+        assert abs(constants[1]) < 1e4
 
 
 @pytest.mark.long
@@ -330,7 +338,7 @@ def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
     fold = jax.tree.map(lambda part: part[0], wild_folds(numbers[None])[0])
     start = first_guess(wild_chain(numbers), 0)
     shooting, index = start.shooting, start.shooting.z_index
-    slopes = jax.jit(functools.partial(value_and_jacobian, shooting))
+    slopes = jax.jit(functools.partial(value_and_jacobian, shooting, start.short))
     closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[index].set(fold.belt_speed)
     for way in (-1.0, 1.0):
         q, r = closed, jnp.full(2, jnp.inf)

@@ -8,7 +8,8 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, paper_chain
-from jaxchain.boundaries.grazing import dry_fold_belt_speed, find_grazing
+from jaxchain.boundaries import Grazing
+from jaxchain.boundaries.fold import Fold, find_fold, fold_belt_speed
 from jaxchain.model import GaussianStribeck
 from jaxchain.model.initial_states import check_mass
 from jaxchain.result import SearchResult
@@ -59,18 +60,18 @@ def spring_matrix(stiffness, coupling):
 
 
 def of(parameters):
-    return paper_chain(n=1).with_(**dict(zip(NAMES, parameters, strict=True)))
+    return paper_chain(n=1, width=None).with_(**dict(zip(NAMES, parameters, strict=True)))
 
 
 @pytest.fixture(scope="module")
 def folds():
     """(v_d, its gradient) of many sets of parameters: one program for most tests."""
-    return jax.jit(jax.vmap(jax.value_and_grad(lambda p: dry_fold_belt_speed(of(p)))))
+    return jax.jit(jax.vmap(jax.value_and_grad(lambda p: fold_belt_speed(of(p)))))
 
 
 @pytest.fixture(scope="module")
 def paper():
-    return find_grazing(paper_chain(n=1))
+    return find_fold(paper_chain(n=1, width=None))
 
 
 @pytest.mark.long
@@ -96,7 +97,7 @@ def test_the_cycle_of_the_paper(paper):
     """Its period, its touch, and the multiplier, which Liouville's theorem gives for one mass."""
     assert paper.successful
     assert paper.residual < 1e-12
-    chain = paper_chain(n=1)
+    chain = paper_chain(n=1, width=None)
     expected, period, run = shoot(1, 0, PAPER[1:], np.eye(1), np.full(1, 0.05), 6.3, 1.8)
     np.testing.assert_allclose(paper.belt_speed, expected, rtol=1e-11)
     np.testing.assert_allclose(paper.period, period, rtol=1e-10)
@@ -125,7 +126,7 @@ FLAT = np.array([[0.05, 0.97, 0.5], [0.05, 0.98, 0.5], [0.1, 1.2, 0.5], [0.1, 1.
 
 @pytest.fixture(scope="module")
 def flat_folds():
-    return jax.jit(jax.vmap(lambda p: find_grazing(flat(p))))(jnp.asarray(FLAT))
+    return jax.jit(jax.vmap(lambda p: find_fold(flat(p))))(jnp.asarray(FLAT))
 
 
 def saddle_node(parameters, guess):
@@ -181,7 +182,7 @@ def test_gradients_of_both_kinds_are_those_of_differences():
     """Of the belt speed, the period and the greatest velocity; they agree where the kinds meet."""
 
     def quantities(p):
-        fold = find_grazing(flat(p))
+        fold = find_fold(flat(p))
         return jnp.stack([fold.belt_speed, fold.period, fold.state[1][0]])
 
     values, slopes = (jax.jit(jax.vmap(f)) for f in (quantities, jax.jacfwd(quantities)))
@@ -194,9 +195,9 @@ def test_gradients_of_both_kinds_are_those_of_differences():
             for m in (1, 2)
         )
         np.testing.assert_allclose(exact[:, :, k], (4 * one - two) / 3, rtol=1e-6, atol=1e-6)
-    reverse = jax.jit(jax.vmap(jax.grad(lambda p: dry_fold_belt_speed(flat(p)))))
+    reverse = jax.jit(jax.vmap(jax.grad(lambda p: fold_belt_speed(flat(p)))))
     np.testing.assert_allclose(reverse(jnp.asarray(FLAT[:3])), exact[:, 0], rtol=1e-11)
-    second = jax.jit(jax.hessian(lambda p: dry_fold_belt_speed(flat(p))))(FLAT[2])
+    second = jax.jit(jax.hessian(lambda p: fold_belt_speed(flat(p))))(FLAT[2])
     ends = [reverse(jnp.asarray(FLAT[[2, 2, 2]] + s * h * np.eye(3))) for s in (1, -1)]
     np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * h), rtol=1e-4, atol=1e-4)
 
@@ -207,9 +208,20 @@ def test_what_it_says_of_smoothed_folds(paper):
         assert abs(paper.smoothed(width) - fold) < width**1.5
 
 
+def test_a_dry_fold_has_what_a_smoothed_one_has(paper, flat_folds):
+    for name in Fold.__dataclass_fields__:
+        assert getattr(paper, name) is not None
+    assert float(paper.scaled_peak_velocity) == float(paper.width) == 0.0
+    np.testing.assert_array_equal(
+        flat_folds.scaled_peak_velocity, np.where(flat_folds.touches, 0.0, -np.inf)
+    )
+    np.testing.assert_array_equal(flat_folds.width, np.zeros(len(FLAT)))
+
+
 def test_nothing_is_found_where_friction_does_not_weaken():
-    chain = paper_chain(n=1).with_(mu_dynamic=1.0)
-    grazing = find_grazing(chain)
+    chain = paper_chain(n=1, width=None).with_(mu_dynamic=1.0)
+    grazing = find_fold(chain)
+    assert isinstance(grazing, Grazing)
     assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
     assert jnp.isnan(grazing.smoothed(1e-3))
@@ -235,9 +247,9 @@ def test_bad_input_is_named(chain, mass, message):
 
 @pytest.mark.exhaustive
 def test_the_cycle_of_twenty_masses_closes_in_scipy():
-    grazing = find_grazing(paper_chain())
+    grazing = find_fold(paper_chain(width=None))
     assert grazing.successful
-    assert abs(grazing.belt_speed - find_grazing(paper_chain(n=1)).belt_speed) < 0.05
+    assert abs(grazing.belt_speed - find_fold(paper_chain(n=1, width=None)).belt_speed) < 0.05
     matrix, speed = spring_matrix(np.ones(20), 0.01), float(grazing.belt_speed)
 
     def field(_, y):
@@ -258,10 +270,10 @@ def test_the_cycle_of_twenty_masses_closes_in_scipy():
 @pytest.mark.exhaustive
 def test_a_chain_in_which_another_mass_passes_is_refused():
     """The second mass, hardly damped and hardly loaded, resonates."""
-    chain = paper_chain(n=2).with_(
+    chain = paper_chain(n=2, width=None).with_(
         damping_ratio=jnp.array([0.05, 0.01]), normal_load=jnp.array([1.0, 1e-3]), coupling=0.02
     )
-    grazing = find_grazing(chain, 0)
+    grazing = find_fold(chain, 0)
     assert grazing.residual < 1e-9  # a closed orbit, though
     assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
@@ -270,22 +282,21 @@ def test_a_chain_in_which_another_mass_passes_is_refused():
 @pytest.mark.exhaustive
 def test_derivatives_of_all_of_it():
     """Forward, in reverse and twice; of period and state, too; none in the width."""
-    chain = paper_chain(n=1)
+    chain = paper_chain(n=1, width=None)
 
     def speed(p):
-        return dry_fold_belt_speed(of(p))
+        return fold_belt_speed(of(p))
 
     point = jnp.asarray(PAPER)
     forward, reverse = jax.jacfwd(speed)(point), jax.grad(speed)(point)
     np.testing.assert_allclose(forward, reverse, rtol=1e-12)
-    assert jax.grad(lambda w: dry_fold_belt_speed(chain.with_(width=w)))(1e-3) == 0.0
     h = 1e-4
-    slope = jax.jit(jax.grad(lambda xi: dry_fold_belt_speed(chain.with_(damping_ratio=xi))))
+    slope = jax.jit(jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi))))
     second = jax.jacfwd(slope)(0.05)
     np.testing.assert_allclose(second, (slope(0.05 + h) - slope(0.05 - h)) / (2 * h), rtol=1e-4)
 
     def cycle(xi):
-        grazing = find_grazing(chain.with_(damping_ratio=xi))
+        grazing = find_fold(chain.with_(damping_ratio=xi))
         return jnp.stack([grazing.period, grazing.state[0][0]])
 
     slopes = jax.jacfwd(cycle)(0.05)

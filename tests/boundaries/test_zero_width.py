@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import Chain, dry_fold_belt_speed, fold_belt_speed, paper_chain
+from jaxchain import Chain, fold_belt_speed, paper_chain
 from jaxchain.boundaries.limit import extrapolate, extrapolated_fold
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.model import GaussianStribeck
@@ -184,10 +184,10 @@ def test_a_fold_below_the_speed_of_the_belt_is_the_limit_of_the_least_width():
         return extrapolated_fold(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, xi))
 
     near, far = boundary(0.05), boundary(0.1)
-    dry = dry_fold_belt_speed(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, 0.05))
+    dry = fold_belt_speed(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, 0.05))
     # Both by shooting with SciPy for a multiplier of +1.
     np.testing.assert_allclose(dry, 2.34851948, rtol=4e-9)
     np.testing.assert_allclose(far.value, 1.45751502, rtol=8e-9)
     assert abs(near.value - dry) <= near.error < 1e-4
-    far_dry = dry_fold_belt_speed(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, 0.1))
+    far_dry = fold_belt_speed(Chain(1, GaussianStribeck(1.0, 0.5, 1.0, 0.0), 1.2, 0.1))
     assert abs(far.value - far_dry) <= far.error < 1e-8

@@ -12,19 +12,16 @@ from jaxchain import paper_chain
 from jaxchain.boundaries.fold import find_fold
 from jaxchain.cycles import branches
 from jaxchain.cycles.branches import (
-    CycleLinearisation,
     breaking,
     continue_cycle,
-    cycle_weights,
     doubling,
     encircling,
-    linearise,
     on_the_circle,
     refined,
     switch_cycle,
     symmetry_breaking_basis,
 )
-from jaxchain.cycles.shooting import Shooting, residual
+from jaxchain.cycles.shooting import CycleLinearisation, Shooting, linearise, residual
 from jaxchain.solvers.rosenbrock import Rodas5P
 
 # Second looks, or minutes of compilation: not in every run of the tests.
@@ -82,7 +79,7 @@ def test_a_point_without_a_known_error_is_not_refined(branch, monkeypatch):
     fold = branch.of_kind("fold")[0].raw
     found = iter([fold, None])
     monkeypatch.setattr(branches, "_located", lambda *_: next(found))
-    again = refined(branch.shooting, cycle_weights(branch.shooting, 1.0), 1e-9, {})(fold)
+    again = refined(branch.shooting, branch.shooting.weights(1.0), 1e-9, {})(fold)
     assert fold.refined
     assert not again.refined
     assert np.isinf(again.error)

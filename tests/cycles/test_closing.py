@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from jaxchain.boundaries.grazing import find_grazing
+from jaxchain.boundaries.fold import find_fold
 from jaxchain.cycles.floquet import floquet_multipliers
 from jaxchain.cycles.limit_cycle import find_limit_cycle, refine_orbit
 from jaxchain.model.chain import paper_chain
@@ -102,7 +102,7 @@ def test_guesses_go_from_one_kind_of_friction_to_the_other(cycle):
 
 
 def test_beyond_the_fold_there_is_no_dry_cycle():
-    fold = float(find_grazing(ONE).belt_speed)
+    fold = float(find_fold(ONE).belt_speed)
     assert found(ONE.with_(belt_speed=fold - 0.02)).stable
     with pytest.raises(RuntimeError, match="No stick-slip cycle in which one mass vibrates was"):
         found(ONE.with_(belt_speed=fold + 0.02))

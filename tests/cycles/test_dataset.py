@@ -78,7 +78,7 @@ def test_oscillators_without_a_belt_have_no_count_of_those_who_vibrate():
     branch = cycle_branch(1)
     field = VanDerPol(strength=jnp.asarray(1.5), springs=None)
     shooting = Shooting(field, 1e-10, Rodas5P(), 0, (0,), "strength")
-    data = replace(branch, name="strength", shooting=shooting).to_dataset()
+    data = replace(branch, name="strength", pieces=((shooting, branch.branch),)).to_dataset()
     assert "active_count" not in data
     np.testing.assert_array_equal(data.strength, branch.parameter)
     told = json.loads(data.attrs["parameters"])

@@ -20,8 +20,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.boundaries import hopf_points
-from jaxchain.boundaries.hopf_scan import guess_from_hopf
+from jaxchain.boundaries import find_hopf_point
 from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model.friction import GaussianStribeck
 from jaxchain.model.initial_states import release_state
@@ -136,8 +135,7 @@ def test_guesses_of_every_kind_lead_to_the_same_cycle(slip):
     assert float(other.period) == pytest.approx(float(fresh.period), abs=1e-9)
     # The unstable cycle near its Hopf point, which it branches off.
     near = chain.with_(belt_speed=1.16)
-    guess = guess_from_hopf(near, hopf_points(near, (0.5, 3.0)))
-    small = find_limit_cycle(near, guess)
+    small = find_limit_cycle(near, find_hopf_point(near, "belt_speed").guess(0.19))
     assert small.stable is False
     # A^2 = 8 (v_d - v_H) to leading order: d = 2 xi - p F' grows by 0.2 per speed, F''' = 0.4.
     predicted = np.sqrt(4.0 * (1.16 - np.log(10) / 2))
@@ -393,12 +391,6 @@ def test_bad_input_is_named(slip):
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
     with pytest.raises(ValueError, match="give a state as `guess`"):
         find_limit_cycle(field)
-    one = paper_chain(1, belt_speed=1.0)
-    points = hopf_points(one, (0.5, 3.0))
-    with pytest.raises(ValueError, match="other side"):
-        guess_from_hopf(one, points)
-    with pytest.raises(ValueError, match="`index`"):
-        guess_from_hopf(one, points, 5)
 
 
 @pytest.mark.exhaustive

@@ -10,8 +10,8 @@ import optimistix as optx
 import pytest
 from scipy import stats
 from scipy.optimize import least_squares
+from two_runs import survives
 
-from jaxchain.boundaries.ranges import try_boundary
 from jaxchain.continuation.gradient_descent import descend
 from jaxchain.inverse.identification import identify
 from jaxchain.inverse.measurements import Measurements, predict
@@ -211,8 +211,7 @@ def test_intervals_cover_the_truth_as_often_as_they_promise():
     low, high = 1.7, 1.9
     for _ in range(10):
         middle = 0.5 * (low + high)
-        survives = bool(try_boundary(ONE, middle, margin=1e-12).vibrates[0])
-        low, high = (middle, high) if survives else (low, middle)
+        low, high = (middle, high) if survives(ONE, [middle])[0] else (low, middle)
     truth = prediction(TRUE).at[1].set(low)
     assert float(prediction(TRUE)[1]) == pytest.approx(low, abs=4e-4)
 

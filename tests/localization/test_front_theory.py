@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import i1, jv
 
-from jaxchain.boundaries.grazing import dry_fold_belt_speed
+from jaxchain.boundaries.fold import fold_belt_speed
 from jaxchain.localization.front_theory import (
     death_belt_speed,
     growth_coupling,
@@ -47,8 +47,8 @@ def test_growth_is_that_of_the_hopf_bifurcation():
 
 @pytest.mark.long
 def test_the_last_mass_of_a_block_dies_where_its_springs_take_too_much():
-    one = paper_chain(1)
-    both = jax.jit(jax.vmap(lambda eta: death_belt_speed(one, eta, -0.0034, dry_fold_belt_speed)))
+    one = paper_chain(1, width=None)
+    both = jax.jit(jax.vmap(lambda eta: death_belt_speed(one, eta, -0.0034, fold_belt_speed)))
     alone, coupled = both(jnp.array([1e-9, 0.01]))
     np.testing.assert_allclose(alone, 1.836600972, rtol=1e-6)
     # What quiet masses take: driven at one end, 60 of them, by a linear solve.

@@ -63,7 +63,7 @@ def test_the_line_is_the_energy_solid_while_stable_and_dashed_beyond_the_fold():
 def test_a_branch_of_cells_bears_no_symbols_of_a_chain():
     branch = cycle_branch(1)
     shooting = Shooting(VanDerPol(mu=1.0), 1e-10, Rodas5P(), 0, (0,), "mu")
-    data = replace(branch, name="mu", shooting=shooting).to_dataset()
+    data = replace(branch, name="mu", pieces=((shooting, branch.branch),)).to_dataset()
     axes = plot_branch(data)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", "amplitude of displacement (–)")
     x, y = points(named(axes)["stable"][0])

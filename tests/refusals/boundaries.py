@@ -31,7 +31,6 @@ from .table import (
 CHAIN, DRY, ONE = paper_chain(3, 1.2, 1e-2), paper_chain(3, 1.2, None), paper_chain(1, 1.2, 1e-2)
 WIDTHS = ("x", {}, 3.0, [1e-2], [1, 1, 1, 1], [1, 2, 3, math.nan], [1, 2, 3, -1])
 OPTIMISER = ("x", 3, optax.adam)
-SEVERAL = Told(CHAIN, "has 3")
 
 
 REST = jnp.zeros(3), jnp.zeros(3)
@@ -99,25 +98,6 @@ def _hopf() -> Iterator[Row]:
     )  # fmt: skip
     bad = {"chain": A_CHAIN, "belt_speeds": speeds}
     yield Row("hopf_points", boundaries.hopf_points, {"chain": CHAIN}, bad)
-    good = {"chain": CHAIN, "points": None}
-    yield Row("guess_from_hopf", boundaries.guess_from_hopf, good, {"points": (None, "x", 3)})
-    mode = ("x", {}, jnp.ones(3, complex), [math.nan])
-    yield Row(
-        "first_lyapunov_coefficient", boundaries.first_lyapunov_coefficient,
-        {"chain": ONE, "belt_speed": 1.0, "frequency": 1.0, "shape": jnp.ones(1, complex)},
-        {
-            "chain": A_CHAIN, "belt_speed": (None, "x", {}, [1.0, 2.0], 1j),
-            "frequency": (None, "x", {}, [1.0, 2.0], 1j), "shape": (None, *mode), "left": mode,
-        },
-    )  # fmt: skip
-    yield Row(
-        "generalised_hopf", boundaries.generalised_hopf,
-        {"chain": ONE, "parameter": "width", "low": 0.1, "high": 0.2},
-        {
-            "chain": (*A_CHAIN, SEVERAL), "parameter": WORD, "low": (*POSITIVE, 0.3),
-            "high": POSITIVE,
-        },
-    )  # fmt: skip
     yield Row(
         "hopf_by_descent", boundaries.hopf_by_descent, {"chain": CHAIN},
         {
@@ -129,9 +109,7 @@ def _hopf() -> Iterator[Row]:
 
 def _fold() -> Iterator[Row]:
     chain, bad = {"chain": CHAIN}, {"chain": A_CHAIN, "mass": VIBRATING}
-    for name in (
-        "fold_belt_speed", "find_grazing", "dry_fold_belt_speed", "find_fold",
-    ):  # fmt: skip
+    for name in ("fold_belt_speed", "find_fold"):
         yield Row(name, getattr(boundaries, name), chain, bad)
     flag = {**bad, "error_bars": FLAG}
     yield Row("stability_range", boundaries.stability_range, chain, flag)
@@ -143,14 +121,6 @@ def _fold() -> Iterator[Row]:
             "tolerance": POSITIVE,
         },
     )  # fmt: skip
-    over = (
-        None, "x", 3, Told({}, "one quantity"), ["width"], {"nonsense": [1]}, {"width": "x"},
-        {"width": []}, {"width": [math.nan]}, {"belt_speed": [1.0]},
-    )  # fmt: skip
-    yield Row(
-        "fold_belt_speeds", boundaries.fold_belt_speeds,
-        {"chain": CHAIN, "over": {"width": [1e-2]}}, {**bad, "over": over, "progress": FLAG},
-    )  # fmt: skip
     yield Row("extrapolated_fold", boundaries.extrapolated_fold, chain, {**bad, "widths": WIDTHS})
     yield Row(
         "extrapolate", boundaries.extrapolate,
@@ -159,14 +129,6 @@ def _fold() -> Iterator[Row]:
             "values": (None, "x", {}, 1.0, Told([1, 2], r"\(2,\)"), [1, 2, 3, 1j]),
             "widths": (None, *WIDTHS), "scale": POSITIVE, "accuracy": POSITIVE,
         },
-    )  # fmt: skip
-    yield Row(
-        "one_mass_branch", boundaries.one_mass_branch, {"chain": ONE},
-        {"chain": (*A_CHAIN, SEVERAL), "lowest": POSITIVE, "fold": ("x", 3)},
-    )  # fmt: skip
-    yield Row(
-        "try_boundary", boundaries.try_boundary, {"chain": CHAIN, "belt_speed": 1.0},
-        {**bad, "belt_speed": POSITIVE, "margin": (*POSITIVE, 1.5), "time": (*POSITIVE, 19.0)},
     )  # fmt: skip
 
 

@@ -16,10 +16,10 @@ FILES = {"scenes", "studies"}
 NOT_TRIED = {
     **dict.fromkeys(
         (
-            "Result", "SearchResult", "Simulation", "Numerics", "GeneralisedHopf",
+            "Result", "SearchResult", "Simulation", "Numerics",
             "StabilityRange", "FoldDescent", "HopfDescent", "Equilibrium", "HopfPoint", "Fold",
             "Grazing", "HopfPoints", "CurvePoint", "SpecialCurve", "SpecialCycle",
-            "OneMassBranch", "Extrapolation", "Evidence", "Verdict",
+            "Extrapolation", "Evidence", "Verdict",
             "LyapunovSpectrum", "Branch", "SpecialPoint", "FoldPoint", "CycleBranch",
             "LimitCycle", "CyclePoint", "CycleSearch", "CycleSymmetry",
             "Identification", "Profile", "Design", "Depinning",

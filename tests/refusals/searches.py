@@ -137,10 +137,17 @@ def _cycles() -> Iterator[Row]:
     yield Row(
         "continue_cycle", cycles.continue_cycle, orbit,
         {
-            **STEPS, **FOLLOWED, **of_orbit, "parameter": WORD,
+            **STEPS, **FOLLOWED, **of_orbit, "model": A_CHAIN, "parameter": WORD,
             "direction": tuple(value for value in DIRECTION), "bounds": BOUNDS,
             "mass": VIBRATING, "images": IMAGES, "max_points": optional(COUNT),
-            "tolerance": POSITIVE, "keep_part": FLAG,
+            "tolerance": POSITIVE, "keep_part": FLAG, "events": ("x", 3, {"a": 3}),
+        },
+    )  # fmt: skip
+    yield Row(
+        "continue_cycle, dry", cycles.continue_cycle, {**orbit, "model": DRY},
+        {
+            **STEPS, "parameter": WORD, "direction": (*DIRECTION, "slip"), "bounds": BOUNDS,
+            "max_points": optional(COUNT), "tolerance": POSITIVE, "keep_part": FLAG,
         },
     )  # fmt: skip
     yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"model": (*A_CHAIN, CHAIN)})

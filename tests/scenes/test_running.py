@@ -3,6 +3,7 @@
 import json
 import os
 import tomllib
+from functools import partial
 from typing import Any
 
 import jax.numpy as jnp
@@ -113,6 +114,9 @@ def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
     assert np.array_equal(found[0]["amplitude"], found[1]["amplitude"])
 
 
+GRID = {"belt_speed": np.linspace(0.3, 1.9, 10), "displacement": np.array([0.5, 2.0])}
+
+
 def one_oscillator(tmp_path, count, model="smoothed"):
     text = SCENE.replace("MODEL", model).replace("n = 3", "n = 1").replace("coupling = 0.01, ", "")
     text = text.replace('"equation_8"', '"excited", excited = 1')
@@ -146,6 +150,32 @@ def ordered(cycles, which):
     speed, amplitude = (cycles[name].values[which] for name in ("belt_speed", "amplitude"))
     order = np.argsort(speed)
     return speed[order], amplitude[order]
+
+
+@pytest.mark.parametrize("first", [1, 40, 60])
+def test_an_interrupted_branch_is_not_taken_for_a_whole_one(monkeypatch, first):
+    """In the slip cycles at once, in them, and in the stick-slip cycles."""
+    seen = []
+
+    def interrupt(count, point):
+        seen.append(count)
+        if len(seen) == first:
+            raise KeyboardInterrupt
+
+    follow = partial(running.continue_cycle, progress=interrupt)
+    monkeypatch.setattr(running, "continue_cycle", follow)
+    with pytest.raises(KeyboardInterrupt):
+        cycles(paper_chain(1, width=1e-2), GRID)
+    assert len(seen) == first
+
+
+def test_a_branch_whose_side_ends_early_says_so(monkeypatch):
+    follow = partial(running.continue_cycle, stop=lambda p, cycle: cycle.speed > 0.5 and p < 1)
+    monkeypatch.setattr(running, "continue_cycle", follow)
+    cut = cycles(paper_chain(1, width=1e-2), GRID)
+    assert cut is not None
+    assert cut.attrs["cut_off"].startswith("The stick cycles end at belt speed 0.9")
+    assert "`stop` was true" in cut.attrs["cut_off"]
 
 
 def test_a_few_belt_speeds_have_no_branch(tmp_path):

@@ -1,0 +1,542 @@
+"""How the sequence of phases of a cycle with dry friction changes along a branch.
+
+Within one sequence (see `phases.py`) the equations are smooth.  It ends where
+
+- a mass that slides just reaches the speed of the belt ("grazing"): beyond it sticks, shortly;
+- the force on a mass that sticks just reaches the static limit ("release"): beyond it slides;
+- the force on a mass that lands does ("stick onset"): beyond it sticks there, or no longer;
+- a phase has length zero: a stick ("grazing" or "stick onset") or a slip between two sticks
+  ("release") goes, or events of two masses exchange their order ("two events").
+
+There the next sequence begins with the same cycle: what goes is left out, what comes begins with
+length zero.  Which one it is, and in which direction it goes on, is tried: the right one is that
+of a cycle which meets no further event a little later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from ..continuation.arclength import make_corrector
+from ..continuation.branch import SpecialPoint
+from ..continuation.corrector import Corrector
+from ..solvers.dormand_prince import step as step_of_order_8
+from ..solvers.dry_friction import STICK, free_force, motion
+from .phases import KINDS, Phases, phases_from, phases_of
+from .shooting import linearise, residual
+
+# Shares of a period: of a phase that is gone, and of one with which a new sequence begins.
+_GONE, _BEGIN = (1e-5, 1e-7), 1e-4
+# How close to an event others happen with it, in the shares of `CycleProperties.margins`, or as a
+# share of the phase; and how close in the run from which a sequence is read.
+_TOGETHER, _SAME_TIME, _GROUPED = 1e-5, 1e-3, 1e-3
+_NEWTON_STEPS, _CONVERGED = 12, 1e-10
+
+
+class _Part(NamedTuple):
+    """A phase: the mode of each mass, its duration, the events at its end, whether it is new.
+
+    By symmetry several masses may have the same event at the same time, all along a branch.
+    `special`: the kind of the special cycle to which the first event belongs, or ""; `onset`: the
+    masses that are at the onset of sticking as they land, on a special cycle.
+    """
+
+    mode: tuple[float, ...]
+    duration: float
+    events: tuple[tuple[str, int, float], ...]
+    new: bool = False
+    special: str = ""
+    onset: frozenset[int] = frozenset()
+
+    @property
+    def masses(self) -> frozenset[int]:
+        """Those that have an event at the end."""
+        return frozenset(i for _, i, _ in self.events)
+
+
+class Start(NamedTuple):
+    """Where a sequence begins: its equations, a solution (u, p), the direction (m + 1,)."""
+
+    orbit: Phases
+    u: Float[np.ndarray, " m"]
+    p: float
+    direction: Float[np.ndarray, " more"]
+
+
+class Change(NamedTuple):
+    """A change of the sequence.
+
+    `kind`; `orbit`, `raw`: the equations of the cycle there, and their solution; `start`: the next
+    sequence, None if none was found.
+    """
+
+    kind: str
+    orbit: Phases
+    raw: SpecialPoint
+    start: Start | None
+
+
+class _Sequence(NamedTuple):
+    """A sequence that may be beyond a change, or its special cycle, and where it begins."""
+
+    parts: list[_Part]
+    state: Float[np.ndarray, " more"]  # (t, y)
+    alike: tuple[int, ...] = ()
+
+
+class _Along(NamedTuple):
+    """Along each part of a cycle.
+
+    `states` (steps + 1, 1 + m n), (t, y); `near` (steps + 1, n): how far each mass is from an
+    event, which is at 0, as in `Phases.run`; `force` (steps + 1, n): r.
+    """
+
+    states: Any
+    near: Any
+    force: Any
+
+
+@eqx.filter_jit
+def _along(u: Array, p: Any, orbit: Phases) -> _Along:
+    field, state, _ = orbit.unpack(u, p)
+    d, k, n = orbit.m * orbit.n, len(orbit.events), orbit.n
+    begin = u[d] if orbit.forcing_periods is not None else jnp.zeros(())
+    limit, scale = jnp.broadcast_to(field.static_limit(), (n,)), 1 + jnp.abs(field.belt_speed)
+
+    def phase(z: Array, given: tuple[Array, Array]) -> tuple[Array, _Along]:
+        mode, duration = given
+
+        def rate(z: Array) -> Array:
+            y = tuple(jnp.split(z[1:], orbit.m))
+            return jnp.concatenate([jnp.ones(1), *motion(field, z[0], y, mode)])
+
+        def seen(z: Array) -> _Along:
+            y = tuple(jnp.split(z[1:], orbit.m))
+            w, r = y[field.contact] - field.belt_speed, free_force(field, z[0], y)
+            near = jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
+            return _Along(z, near, r)
+
+        def step(z: Array, _: Any) -> tuple[Array, _Along]:
+            end, _ = step_of_order_8(rate, z, rate(z), duration / orbit.steps)
+            return end, seen(end)
+
+        z1, later = lax.scan(step, z, None, length=orbit.steps)
+        first = jax.tree.map(lambda a: a[None], seen(z))
+        return z1, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), first, later)
+
+    start = jnp.concatenate([begin[None], *state])
+    return lax.scan(phase, start, (jnp.asarray(orbit.modes, float), u[-k:]))[1]
+
+
+def _parts_of(orbit: Phases, u: np.ndarray) -> list[_Part]:
+    """The phases of a sequence, with the events at one time together."""
+    k, parts, modes = len(orbit.events), [], [tuple(map(float, row)) for row in orbit.modes]
+    mode, duration, events = modes[0], 0.0, []
+    for j, event in enumerate(orbit.sequence):
+        events.append(event)
+        duration += float(u[j - k])
+        if orbit.apart[(j + 1) % k]:
+            parts.append(_Part(mode, duration, tuple(events)))
+            mode, duration, events = modes[(j + 1) % k], 0.0, []
+    return parts
+
+
+def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]:
+    """(the equations, u, which durations are new) of a sequence."""
+    modes, events, durations, apart, new, onsets, special = [], [], [], [], [], [], None
+    for j, part in enumerate(of.parts):
+        mode, after = list(part.mode), of.parts[(j + 1) % len(of.parts)].mode
+        if part.special:
+            event, _, sign = part.events[0]
+            special = len(events), part.special, 0.0 if event == "peak" else sign
+        for first, event in enumerate(part.events):
+            modes.append(tuple(mode))
+            mode[event[1]] = after[event[1]]
+            if event[0] == "landing" and event[1] not in part.onset:
+                onsets.append(-1 if after[event[1]] == STICK else 1)
+            else:
+                onsets.append(0)
+            events.append(event)
+            durations.append(0.0 if first else part.duration)
+            apart.append(not first)
+            new.append(part.new and not first)
+    if special and special[1] == "two events":
+        apart[special[0]] = False
+    how = {name: getattr(orbit, name) for name in ("steps", "parameter", "forcing_periods")}
+    whole = phases_from(
+        orbit.field, modes, events, special, orbit.m, apart, onsets, of.alike, **how
+    )
+    begin = of.state[:1] if orbit.forcing_periods is not None else []
+    return whole, np.concatenate([of.state[1:], begin, durations]), np.asarray(new)
+
+
+def _with_mode(mode: tuple[float, ...], changes: dict[int, float]) -> tuple[float, ...]:
+    return tuple(changes.get(i, now) for i, now in enumerate(mode))
+
+
+def sequence_of(
+    model: Any, state: Any, period: Any, mass: int, name: str, tolerance: float
+) -> Start | None:
+    """The sequence of a cycle, and its solution; None if no sequence has this cycle."""
+    read, u = phases_of(model, state, period, mass=mass)
+    read, u, p = replace(read, parameter=name), np.asarray(u), float(model.value_of(name))
+    d, k = read.m * read.n, len(read.events)
+    # Events that are close to each other may be at one time, and may not.
+    for least in (_GROUPED, 0.0):
+        orbit = read
+        if not read.slips:
+            orbit = replace(read, apart=u[-k:] > least * float(period))
+            t0 = u[d] if read.forcing_periods is not None else 0.0
+            of = _Sequence(_parts_of(orbit, u), np.append(t0, u[:d]))
+            orbit, v, _ = _made(orbit, of)
+        else:
+            v = u
+        upright = np.append(np.zeros_like(v), 1.0)
+        found = corrector_of(orbit, p, tolerance)(np.append(v, p), upright)
+        if found is not None and is_valid(orbit, found.extra):
+            return Start(orbit, found.u, p, upright)
+    return None
+
+
+def is_valid(orbit: Phases, seen: Any) -> bool:
+    """Whether a solution is a motion: it meets no further event, and no duration is negative."""
+    return bool(np.max(seen.margins) < 0 and (not orbit.slips or seen.below > 0) and seen.sound)
+
+
+def tests_of(orbit: Phases) -> dict[str, Callable[..., float]]:
+    """The tests of `continue_branch`, which are positive beyond a change."""
+    of: dict[str, Callable[..., float]] = {
+        name: lambda u, p, tangent, extra, i=i: float(extra.margins[i])
+        for i, name in enumerate(KINDS)
+    }
+    if orbit.slips:
+        of["grazing"] = lambda u, p, tangent, extra: max(
+            float(extra.margins[0]), -float(extra.below)
+        )
+        if orbit.forcing_periods is None:
+            j, sign = orbit.field.contact * orbit.n + orbit.mass, orbit.modes[0][orbit.mass]
+            of["hopf"] = lambda u, p, tangent, extra: vanishing(float(sign * u[j]))
+    return of
+
+
+def vanishing(speed: float) -> float:
+    """A speed; the equations are divided by it, and nearer to zero they are noise."""
+    return 0.0 if abs(speed) < 1e-4 else speed
+
+
+def change_at(orbit: Phases, raw: SpecialPoint, tolerance: float) -> Change:
+    """What happens at a special point of the kinds of `KINDS`, and how the branch goes on."""
+    u, kind = np.asarray(raw.u), raw.kind
+    special: tuple[Phases, np.ndarray] | None = None
+    for kind, exact, beyond in _sequences(orbit, u, raw):
+        if special is None and exact is not None:
+            special = _made(orbit, exact)[:2]
+        start = _begun(*_made(orbit, beyond), raw.p, tolerance)
+        if start is not None:
+            return Change(kind, *_exactly(orbit, raw, special), start)
+    return Change(kind, *_exactly(orbit, raw, special), None)
+
+
+def _exactly(
+    orbit: Phases, raw: SpecialPoint, special: tuple[Phases, np.ndarray] | None
+) -> tuple[Phases, SpecialPoint]:
+    """The special cycle itself, from its own equations."""
+    if special is not None:
+        there, u = special
+        z = np.append(u, raw.p)
+        for _ in range(_NEWTON_STEPS):
+            r, slopes, seen = jax.device_get(_linearise(jnp.asarray(z[:-1]), float(z[-1]), there))
+            if not np.all(np.isfinite(r)) or not np.all(np.isfinite(slopes)):
+                break
+            move = np.linalg.lstsq(slopes, r, rcond=1e-12)[0]
+            z, error = z - move, float(np.linalg.norm(move))
+            if error < _CONVERGED * (1.0 + np.linalg.norm(z)):
+                found = {"u": z[:-1], "p": float(z[-1]), "extra": seen, "left_over": 0.0}
+                return there, replace(raw, **found, error=error, refined=bool(seen.sound))
+    return orbit, replace(raw, refined=False, error=np.inf)
+
+
+def _sequences(
+    orbit: Phases, u: np.ndarray, raw: SpecialPoint
+) -> Iterator[tuple[str, _Sequence | None, _Sequence]]:
+    """(what happens, the special cycle, what may be beyond)."""
+    at = jax.tree.map(np.asarray, _along(jnp.asarray(u), raw.p, orbit))
+    k = len(orbit.events)
+    period, parts = float(np.sum(u[-k:])), _parts_of(orbit, u)
+    first = np.flatnonzero(orbit.apart)  # the phase of each part, which lasts
+    last = np.append(first[1:], k) - 1  # the phase after which all of its events are over
+    lasting = _Along(*(part[first] for part in at))
+    before: list[int] = []
+    # Those of masses that move alike are gone together, but for errors.
+    for share in () if orbit.slips else _GONE:
+        gone = [j for j, part in enumerate(parts) if part.duration < share * period]
+        if gone and gone != before:
+            found = _without(parts, at.states[last, -1], gone)
+            before = gone
+            if found is not None:
+                yield found
+    if raw.kind in ("grazing", "release"):
+        yield from _with_touches(orbit, parts, lasting, raw.kind)
+    elif raw.kind == "stick onset":
+        yield from _with_onsets(orbit, parts, lasting)
+
+
+def _without(
+    parts: list[_Part], ends: np.ndarray, gone: list[int]
+) -> tuple[str, _Sequence | None, _Sequence] | None:
+    """Without the phases that are gone, or with events in another order.
+
+    At the special cycle a mass touches where its phase is gone.
+    """
+    k, kind, swapped = len(parts), "", []
+    removed: set[tuple[int, int]] = set()  # (part, mass) of an event
+    touch: tuple[int, tuple[str, int, float]] | None = None
+    for j in gone:
+        before, part, after = parts[j - 1], parts[j], parts[(j + 1) % k]
+        if before.masses != part.masses:
+            kind = kind or "two events"
+            swapped.append(j)
+            continue
+        for event, i, sign in before.events:
+            at = (j - 1) % k
+            if before.mode[i] == after.mode[i]:
+                own = "release" if event == "release" else "grazing"
+                removed |= {(at, i), (j, i)}
+                event = "turn" if own == "release" else "peak"
+            else:  # from one side to the other
+                own = "stick onset"
+                removed |= {(j, i)}
+            kind, touch = kind or own, touch or (at, (event, i, sign))
+    alike = tuple(sorted({i for _, i in removed}))
+    exact = None
+    if kind == "two events":
+        special = [p._replace(special=kind) if j == swapped[0] else p for j, p in enumerate(parts)]
+        exact = _Sequence(special, ends[-1])
+    elif touch is not None:
+        at_onset = [
+            part._replace(onset=frozenset(i for q, i in removed if q == (j + 1) % k))
+            for j, part in enumerate(parts)
+        ]
+        exact = _reordered(at_onset, ends, removed, [], (kind, *touch))
+    beyond = _reordered(parts, ends, removed, swapped)
+    if beyond is None:
+        return None
+    return kind, exact and exact._replace(alike=alike), beyond
+
+
+def _reordered(
+    parts: list[_Part], ends: np.ndarray, removed: set[tuple[int, int]], swapped: list[int],
+    special: tuple[str, int, tuple[str, int, float]] | None = None,
+) -> _Sequence | None:  # fmt: skip
+    k, left = len(parts), []
+    for j, part in enumerate(parts):
+        events = tuple(event for event in part.events if (j, event[1]) not in removed)
+        if special and special[1] == j:
+            others = tuple(event for event in events if event[1] != special[2][1])
+            part = part._replace(special=special[0])
+            events = (special[2], *others)
+        left.append(part._replace(events=events))
+    if not any(part.events for part in left):  # it slides all the time
+        j, i = min((j, i) for j, i in removed)
+        period = sum(part.duration for part in parts)
+        return _Sequence([_Part(parts[j].mode, period, (("peak", i, 0.0),))], ends[j])
+    # It begins after events that stay where they are, before the longest phase.
+    stays = [
+        j for j, part in enumerate(left)
+        if part.events and j not in swapped and (j + 1) % k not in swapped
+        and len(part.events) == len(parts[j].events)
+    ]  # fmt: skip
+    if not stays:
+        return None
+    j = max(stays, key=lambda j: parts[(j + 1) % k].duration)
+    found, carried = [], 0.0
+    for q in ((j + 1 + q) % k for q in range(k)):
+        part = left[q]
+        if (q + 1) % k in swapped:
+            found.append(
+                part._replace(duration=part.duration + carried, events=left[(q + 1) % k].events)
+            )
+            found.append(_Part(part.mode, 0.0, part.events, True))
+        elif q in swapped:
+            continue
+        elif not part.events:
+            carried += part.duration
+            continue
+        else:
+            found.append(part._replace(duration=part.duration + carried))
+        carried = 0.0
+    return _Sequence(_consistent(found, parts, removed), ends[j])
+
+
+def _consistent(
+    found: list[_Part], parts: list[_Part], removed: set[tuple[int, int]]
+) -> list[_Part]:
+    """With the modes that the events leave behind, from the first phase on."""
+    after = {
+        (event, i, sign, part.mode[i]): parts[(j + 1) % len(parts)].mode[i]
+        for j, part in enumerate(parts)
+        for event, i, sign in part.events
+    }
+    # A crossing without the stick after it goes on to the other side.
+    for j, part in enumerate(parts):
+        for event, i, sign in part.events:
+            nxt = (j + 1) % len(parts)
+            if (nxt, i) in removed and (j, i) not in removed:
+                after[event, i, sign, part.mode[i]] = parts[(nxt + 1) % len(parts)].mode[i]
+    mode, made = found[0].mode, []
+    for part in found:
+        made.append(part._replace(mode=mode))
+        changes = {i: after.get((e, i, s, mode[i]), mode[i]) for e, i, s in part.events}
+        mode = _with_mode(mode, changes)
+    return made
+
+
+class _Touch(NamedTuple):
+    """Where a mass comes closest to an event that is not its own."""
+
+    part: int
+    share: float  # of the part's duration
+    mass: int
+    sign: float  # of r
+    near: float
+    sample: int
+
+
+def _touches(orbit: Phases, parts: list[_Part], at: _Along, kind: str) -> list[_Touch]:
+    found = []
+    for k, part in enumerate(parts):
+        for i in range(orbit.n):
+            near = at.near[k, :, i]
+            if (part.mode[i] == STICK) != (kind == "release"):
+                continue
+            inner = near[1:-1]
+            tops = np.flatnonzero((inner >= near[:-2]) & (inner >= near[2:]) & (inner > -1e-3)) + 1
+            for top in tops[np.argsort(-near[tops])][:1]:
+                a, b, c = near[top - 1 : top + 2]
+                shift = 0.0 if a - 2 * b + c == 0 else 0.5 * (a - c) / (a - 2 * b + c)
+                share, height = (top + shift) / (len(near) - 1), b - 0.25 * (a - c) * shift
+                sign = float(np.sign(at.force[k, top, i]))
+                found.append(_Touch(k, share, i, sign, height, int(top)))
+            if orbit.slips and i == orbit.mass:
+                found.append(_Touch(k, 1.0, i, float(np.sign(at.force[k, -1, i])), near[-1], -1))
+    return sorted(touch for touch in found if touch.near > -_TOGETHER)
+
+
+def _with_touches(
+    orbit: Phases, parts: list[_Part], at: _Along, kind: str
+) -> Iterator[tuple[str, _Sequence, _Sequence]]:
+    """With a short stick, or slip, of each mass that just touches."""
+    touches = _touches(orbit, parts, at, kind)
+    if not touches:
+        return
+    # A slip cycle begins at the first touch, any other where it did.
+    begin = touches[-1] if orbit.slips else None
+    start = at.states[begin.part, begin.sample] if begin else at.states[0, 0]
+    offset = begin.share - 1.0 if begin else 0.0
+    new: list[_Part] = []
+    for k, part in enumerate(parts):
+        own = [touch for touch in touches if touch.part == k]
+        last = q = 0
+        while q < len(own):
+            together = [t for t in own[q:] if t.share - own[q].share < _SAME_TIME]
+            share = own[q].share - offset
+            new += _pair(part, together, (share - last) * part.duration, kind)
+            last, q = share, q + len(together)
+        if not orbit.slips:
+            new.append(part._replace(duration=(1.0 - last) * part.duration))
+    top = max(touches, key=lambda touch: touch.near)
+    event = "peak" if kind == "grazing" else "turn"
+    exact, part = [*parts], parts[top.part]
+    cut = _Part(part.mode, part.duration, ((event, top.mass, top.sign),), special=kind)
+    if orbit.slips:
+        exact, first = [cut], at.states[top.part, top.sample]
+    else:
+        rest = part._replace(duration=(1.0 - top.share) * part.duration)
+        exact[top.part : top.part + 1] = [cut._replace(duration=top.share * part.duration), rest]
+        first = at.states[0, 0]
+    alike = tuple(sorted({touch.mass for touch in touches}))
+    yield kind, _Sequence(exact, first, alike), _Sequence(new, start)
+
+
+def _pair(part: _Part, touches: list[_Touch], duration: float, kind: str) -> list[_Part]:
+    """A phase up to a touch, and what it becomes."""
+    stick = kind == "grazing"
+    first, second = ("landing", "release") if stick else ("release", "landing")
+    mode = _with_mode(part.mode, {t.mass: STICK if stick else t.sign for t in touches})
+    return [
+        _Part(part.mode, duration, tuple((first, t.mass, t.sign) for t in touches)),
+        _Part(mode, 0.0, tuple((second, t.mass, t.sign) for t in touches), True),
+    ]
+
+
+def _with_onsets(
+    orbit: Phases, parts: list[_Part], at: _Along
+) -> Iterator[tuple[str, _Sequence, _Sequence]]:
+    """With a short stick after a landing, or a short slip before it sticks."""
+    limit = np.broadcast_to(np.asarray(orbit.field.static_limit()), orbit.n)
+    new: list[_Part] = []
+    exact, alike, first = [*parts], set(), True
+    for k, part in enumerate(parts):
+        after, changes, events = parts[(k + 1) % len(parts)], {}, []
+        for event, i, _ in part.events:
+            force = at.force[k, -1, i]
+            if event == "landing" and abs(abs(force) / limit[i] - 1.0) < _TOGETHER:
+                sign = float(np.sign(force))
+                sticks = after.mode[i] == STICK
+                changes[i] = sign if sticks else STICK
+                events.append(("landing" if sticks else "release", i, sign))
+                alike.add(i)
+                exact[k] = exact[k]._replace(onset=exact[k].onset | {i})
+                if first:
+                    own = event, i, sign
+                    others = tuple(other for other in part.events if other[1] != i)
+                    exact[k] = exact[k]._replace(events=(own, *others), special="stick onset")
+                first = False
+        new.append(part)
+        if events:
+            new.append(_Part(_with_mode(after.mode, changes), 0.0, tuple(events), True))
+    if alike:
+        start = at.states[0, 0]
+        yield "stick onset", _Sequence(exact, start, tuple(sorted(alike))), _Sequence(new, start)
+
+
+def corrector_of(orbit: Phases, p: float, tolerance: float) -> Corrector:
+    """The corrector of `continue_branch`."""
+    weights = orbit.weights(p)
+    return make_corrector(residual, linearise, orbit, orbit.size, weights, tolerance)
+
+
+def _begun(
+    orbit: Phases, u: np.ndarray, new: np.ndarray, p: float, tolerance: float
+) -> Start | None:
+    """A little later in the direction in which no further event is met, or None."""
+    z, k, solve = np.append(u, p), len(orbit.events), corrector_of(orbit, p, tolerance)
+    if np.any(new):
+        step = np.zeros(z.size)
+        step[-1 - k : -1] = new * _BEGIN * float(np.sum(u[-k:]))
+        steps = [step]
+    else:
+        here = solve(z, np.append(np.zeros_like(u), 1.0))
+        if here is None:
+            return None
+        length = _BEGIN * (1.0 + solve.norm(z))
+        steps = [length * here.tangent, -length * here.tangent]
+    for step in steps:
+        end = solve(z + step, step)
+        if end is not None and is_valid(orbit, end.extra):
+            return Start(orbit, end.u, end.p, end.tangent)
+    return None
+
+
+@eqx.filter_jit
+def _linearise(u: Array, p: Any, orbit: Phases) -> Any:
+    return orbit.cycle(u, p)

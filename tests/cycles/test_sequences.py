@@ -1,0 +1,227 @@
+"""Branches of dry cycles: SciPy with events, closed forms, and searches for single cycles."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import fsolve
+from witnesses.cells import Events
+
+from jaxchain import (
+    Coulomb,
+    ExponentialDecay,
+    continue_cycle,
+    continue_special,
+    find_limit_cycle,
+    fold_belt_speed,
+    paper_chain,
+    simulate,
+)
+from jaxchain.boundaries import find_special_cycle
+from jaxchain.model import MechanicalCells
+from jaxchain.plotting import plot_branch
+
+LAW = ExponentialDecay(1.0, 0.5, 0.5)
+TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
+
+
+@pytest.fixture(scope="module")
+def one_mass():
+    chain = paper_chain(1, belt_speed=0.2, width=None)
+    return chain, continue_cycle(find_limit_cycle(chain))
+
+
+def forced(frequency=0.9, force: Any = 1.5):
+    """x'' + x'/10 + x + sign x' = F cos(omega t)."""
+    return MechanicalCells(
+        1.0, damping=0.1, friction=Coulomb(1.0), force=force, frequency=frequency
+    )
+
+
+@pytest.fixture(scope="module")
+def response():
+    cycle = find_limit_cycle(forced(), simulate(forced(), tuple(jnp.zeros((2, 1))), 300.0))
+    return cycle, continue_cycle(cycle, parameter="frequency", direction=-1, bounds=(0.7, 2.0))
+
+
+def scipy_at(model, branch, k):
+    """(state a period later, half amplitude, releases) of point k by SciPy, and that state."""
+    witness = Events(model.with_(**{branch.name: branch.parameter[k]}))
+    start = np.concatenate([part[k] for part in branch.state])
+    end, high, low, releases = witness.run(start, branch.period[k])
+    return end, (high - low) / 2, releases, start
+
+
+def test_a_branch_goes_from_sticking_over_the_fold_to_the_hopf_point(one_mass):
+    """mu'(v) = -2 xi at the Hopf point: v = ln(10) / 2."""
+    chain, branch = one_mass
+    assert [point.kind for point in branch.special] == ["grazing fold", "hopf"]
+    fold, hopf = branch.special
+    assert fold.parameter == pytest.approx(float(fold_belt_speed(chain)), abs=1e-11)
+    assert hopf.parameter == pytest.approx(np.log(10) / 2, abs=1e-10)
+    assert fold.refined
+    assert hopf.refined
+    assert abs(hopf.parameter - np.log(10) / 2) < hopf.error < 1e-8
+    sticks = np.arange(len(branch.parameter)) <= fold.index
+    np.testing.assert_array_equal(branch.scaled_peak_velocity, np.where(sticks, 0.0, -np.inf))
+    np.testing.assert_array_equal(branch.unstable, np.where(sticks, 0, 1))
+    assert np.all(branch.multipliers[sticks] == 0)  # exactly
+    assert branch.ended == "stopped"
+    assert "amplitude vanishes" in branch.message
+    turn = np.argmax(branch.parameter)
+    assert abs(turn - fold.index) <= 1
+    assert np.all(np.diff(branch.parameter[: turn + 1]) > 0)
+    assert np.all(np.diff(branch.parameter[turn + 1 :]) < 0)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6, 0.93])
+def test_each_point_is_the_cycle_that_a_search_finds_and_scipy_runs(one_mass, share):
+    chain, branch = one_mass
+    k = int(share * len(branch.parameter))
+    cells = MechanicalCells(1.0, damping=0.1, friction=LAW, belt_speed=0.2)
+    end, half, _, start = scipy_at(cells, branch, k)
+    # Slip cycles multiply errors.
+    np.testing.assert_allclose(end, start, atol=1e-10)
+    np.testing.assert_allclose(half, branch.amplitude[k, 0], rtol=1e-9)
+    state = tuple(jnp.asarray(part[k]) for part in branch.state)
+    there = chain.with_(belt_speed=branch.parameter[k])
+    found = find_limit_cycle(there, (state, branch.period[k]))
+    np.testing.assert_allclose(found.period, branch.period[k], rtol=1e-11)
+    np.testing.assert_allclose(found.amplitude, branch.amplitude[k], rtol=1e-9)
+    np.testing.assert_allclose(found.multipliers, branch.multipliers[k], atol=1e-7)
+
+
+def test_a_forced_response_gains_two_stops_at_an_onset(response):
+    """The onset from the matrix exponential; it slides for half a period up to there."""
+    cycle, branch = response
+    assert float(cycle.amplitude[0]) == pytest.approx(2.42023635, abs=5e-9)
+    (onset,) = branch.special
+    assert onset.kind == "stick onset"
+
+    def gaps(z):  # of (x, F cos(phi), F sin(phi), omega) at the beginning of a half period
+        A, omega = np.zeros((5, 5)), z[3]  # of (x, v, F cos, F sin, 1)
+        A[0, 1], A[1] = 1.0, [-1.0, -0.1, 1.0, 0.0, 1.0]
+        A[2, 3], A[3, 2] = -omega, omega
+        y = expm(A * np.pi / omega) @ [z[0], 0.0, z[1], z[2], 1.0]
+        return [y[0] + z[0], y[1], z[1] - z[0] + 1.0, np.hypot(z[1], z[2]) - 1.5]
+
+    z: Any = fsolve(gaps, [2.0, 1.0, -1.1, onset.parameter + 1e-3], xtol=1e-13)
+    assert onset.parameter == pytest.approx(z[3], abs=1e-10)
+    for k in (onset.index, -1):
+        end, half, releases, start = scipy_at(forced(), branch, k)
+        assert len(releases) == (0 if k == onset.index else 2)
+        np.testing.assert_allclose(end, start, atol=1e-9)
+        np.testing.assert_allclose(half, branch.amplitude[k, 0], atol=1e-9)
+    assert branch.parameter[-1] == 0.7
+    assert branch.ended == "left_bounds"
+
+
+def test_special_points_of_dry_branches_are_followed_and_differentiated(one_mass, response):
+    (fold, hopf), (onset,) = one_mass[1].special, response[1].special
+    curve = continue_special(fold, "damping_ratio", max_points=4)
+    for k in (0, -1):
+        there = one_mass[0].with_(damping_ratio=curve.second[k])
+        assert curve.first[k] == pytest.approx(float(fold_belt_speed(there)), abs=1e-10)
+    curve = continue_special(hopf, "damping_ratio", max_points=4)
+    np.testing.assert_allclose(curve.first, -0.5 * np.log(2 * curve.second), atol=1e-10)
+
+    def frequency(force):
+        return find_special_cycle(onset, forced(0.9, force)).value
+
+    high, low = frequency(1.5 + 1e-5), frequency(1.5 - 1e-5)
+    slope = jax.grad(frequency)(jnp.asarray(1.5))
+    assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
+
+
+@pytest.mark.parametrize("width", [None, pytest.param(0.01, marks=pytest.mark.long)])
+def test_an_event_of_ones_own_is_found_followed_and_differentiated(width):
+    chain = paper_chain(1, belt_speed=1.2, width=width)
+    cycle = find_limit_cycle(chain)
+    own = {"high": lambda c: c.amplitude[0] - 1.5, "fast": lambda c: c.multipliers[0].real - 1.8}
+    branch = continue_cycle(cycle, events=own)
+    high, fast = branch.of_kind("high"), branch.of_kind("fast")
+    assert len(high) == 2  # as it sticks, and as it slides
+    for point in high:
+        np.testing.assert_allclose(point.amplitude, 1.5, atol=1e-9)
+        assert point.refined
+        assert point.error < 1e-8
+    assert all(abs(point.multipliers[0] - 1.8) < 1e-6 for point in fast)
+    curve = continue_special(high[0], "damping_ratio", max_points=4)
+    np.testing.assert_allclose(curve.amplitude[:, 0], 1.5, atol=1e-9)
+
+    def speed(damping):
+        return find_special_cycle(high[0], chain.with_(damping_ratio=damping)).value
+
+    slope = jax.grad(speed)(jnp.asarray(0.05))
+    near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
+    assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
+    with pytest.raises(ValueError, match="uses more of a cycle than `state`, `period`"):
+        continue_special(fast[0], "damping_ratio")
+    with pytest.raises(ValueError, match="must have names of its own"):
+        continue_cycle(cycle, events={"fold": own["high"]})
+
+
+def test_a_cell_of_two_displacements_is_scipys_along_its_branch():
+    start = simulate(TWO, tuple(jnp.zeros((4, 1))), 400.0)
+    branch = continue_cycle(find_limit_cycle(TWO, start), bounds=(0.3, 2.0))
+    kinds = [point.kind for point in branch.special]
+    assert kinds
+    for k in np.linspace(0, len(branch.parameter) - 1, 5).astype(int):
+        end, half, _, start = scipy_at(TWO, branch, k)
+        np.testing.assert_allclose(end, start, atol=1e-8)
+        np.testing.assert_allclose(half, branch.amplitude[k, 0], atol=1e-8)
+
+
+@pytest.mark.long
+def test_a_dry_branch_of_a_ring_is_the_limit_of_smoothed_ones():
+    """At each belt speed there are as many cycles, but close to a turn."""
+    speeds, counts = np.array([1.2, 1.42, 1.6, 1.7, 1.78]), []
+    for width in (None, 1e-4):
+        chain = paper_chain(3, belt_speed=1.5, width=width)
+        start = tuple(jnp.array([a, b, a]) for a, b in ((0.6, 1.5), (0.1, 0.3)))
+        cycle = find_limit_cycle(chain, simulate(chain, start, 3000.0))
+        sides = [
+            continue_cycle(cycle, direction=d, bounds=(1.16, 2.0), images=(0, 1, 0))
+            for d in (1, -1)
+        ]
+        p = np.concatenate([sides[1].parameter[::-1], sides[0].parameter])
+        passes = (p[:-1, None] - speeds) * (p[1:, None] - speeds) < 0
+        counts.append(np.sum(passes, axis=0))
+    np.testing.assert_array_equal(*counts)
+
+
+def test_a_branch_ends_as_asked_and_keeps_what_it_has(one_mass):
+    chain, whole = one_mass
+    cycle = find_limit_cycle(chain.with_(belt_speed=1.8), find_limit_cycle(chain))
+    some = continue_cycle(cycle, max_points=9)
+    assert (some.ended, len(some.parameter)) == ("max_points", 9)
+    assert some.of_kind("grazing fold")[0].parameter == pytest.approx(
+        whole.of_kind("grazing fold")[0].parameter, abs=1e-11
+    )
+    stopped = continue_cycle(cycle, stop=lambda p, cycle: bool(cycle.speed < 1.5))
+    assert (stopped.ended, stopped.of_kind("hopf")) == ("stopped", ())
+
+    def interrupt(count, point):
+        if point.extra.speed < 1.5:
+            raise KeyboardInterrupt
+
+    part = continue_cycle(cycle, progress=interrupt)
+    assert part.ended == "interrupted"
+    assert part.of_kind("grazing fold")
+    with pytest.raises(ValueError, match="must be 1 or -1 for dry friction"):
+        continue_cycle(cycle, direction="slip")
+
+
+def test_a_dry_branch_is_a_dataset_and_a_picture(one_mass):
+    _, branch = one_mass
+    data = branch.to_dataset()
+    assert data.special_kind.values.tolist() == ["grazing fold", "hopf"]
+    np.testing.assert_array_equal(data.stable, branch.unstable == 0)
+    assert data.attrs["ended"] == "stopped"
+    axes = plot_branch(data)
+    assert len(axes.lines) >= 2
+    plt.close("all")
