@@ -95,6 +95,8 @@ _SUBGROUPS = "it is the index of one of `point.symmetries`."
 _TOGETHER = 8
 # A share of the parameter: closer to a change of the sequence another special point is part of it.
 _SAME = 1e-7
+# A share of the first belt speed, below which the belt stops.
+_STOPPED = 1e-5
 # The least amplitude of a family of cycles, over its first one.
 _SMALL = 1e-3
 # Arclength for the slope of a test; the error of a point where no better one can be solved.
@@ -1059,6 +1061,7 @@ def _follow_dry(
     points: list[tuple[str, Phases, SpecialPoint]] = []
     room = np.inf if options["max_points"] is None else options["max_points"]
     limits = (-np.inf, np.inf) if bounds is None else bounds
+    start_p = 0.0 if start is None else start.p
     while start is not None and room > 0:
         most = None if np.isinf(room) else int(room)
         try:
@@ -1076,6 +1079,8 @@ def _follow_dry(
                 rest = _at_rest(corrector, met, {}) or replace(met, refined=False, error=np.inf)
                 found.append(("hopf", orbit, rest))
                 branch = replace(branch, ended="stopped", reason="the amplitude vanishes")
+            elif met is not None and _belt_stops(orbit, met.p, start_p):
+                branch = replace(branch, ended="belt_speed = 0")
             elif met is not None:
                 change = change_at(orbit, met, options["tolerance"])
                 kind, start = change.kind, change.start
@@ -1095,6 +1100,12 @@ def _follow_dry(
             pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended="interrupted")
             break
     return _dry_branch(pieces, points, mass, rtol, events)
+
+
+def _belt_stops(orbit: Phases, speed: float, first: float) -> bool:
+    """Whether the belt stops there, without which no cycle is left."""
+    driven = orbit.parameter == "belt_speed" and orbit.forcing_periods is None
+    return driven and abs(speed) < _STOPPED * abs(first)
 
 
 def _dry_piece(

@@ -74,6 +74,7 @@ from .floquet import (
     forcing_periods_of,
     is_trusted,
     liouville_defect,
+    monodromy_matrix,
     multiplier_resolution,
     orbit_multipliers,
 )
@@ -326,7 +327,7 @@ def solve_cycle(
         amplitude=whole.amplitude,
         fastest=whole.fastest,
         evaluations=end.evaluations,
-        times_round=whole.returned.times_round,
+        times_round=whole.returned.times_round_of(shooting.forcing_periods),
     )
     return cycle, end.u
 
@@ -599,7 +600,7 @@ def dry_cycle(
         amplitude=(high - low) / 2,
         fastest=fastest,
         evaluations=evaluations,
-        times_round=returned.times_round if forced else jnp.ones((), int),
+        times_round=returned.times_round_of(equations.forcing_periods or 1),
     )
     return cycle, u
 
@@ -808,8 +809,9 @@ def find_limit_cycle(
         if forcing_periods == cycle.turns or rest:
             break
         # It has come back after a share of the given multiple of the force's period.
+        share = cycle.period * (forcing_periods / cycle.turns)
         equations = replace(equations, forcing_periods=forcing_periods)
-        cycle, u = solve(equations, cycle.state, cycle.period, *numbers)  # pyright: ignore[reportArgumentType]
+        cycle, u = solve(equations, cycle.state, share, *numbers)  # pyright: ignore[reportArgumentType]
     if guess is None:
         cycle = keep_kind(cycle, branch)
         if failed(cycle) and isinstance(equations, Shooting):
@@ -819,8 +821,7 @@ def find_limit_cycle(
     if not failed(cycle) or not throw:
         cycle = with_derivatives(equations, model, cycle, u)
     if throw and failed(cycle):
-        family = isinstance(equations, Shooting) and _is_family(equations, state, period)
-        why = _FAMILY.format(float(period)) if family else _failure(cycle)
+        why = _family(equations, state, period) or _failure(cycle)
         raise RuntimeError(why if guess is not None else _missing(fixed, branch, reason))
     return cycle
 
@@ -879,24 +880,32 @@ def resolve_guess(
     return mass, state, period
 
 
-_FAMILY = (
-    "There is no single limit cycle near the guess: a second multiplier is 1, so cycles are a "
-    "family, one for each period and energy, as without damping. Follow it from period {:.6g} "
-    'with `continue_cycle(model, state, period, parameter="period")`.'
-)
-
-
-def _is_family(shooting: Shooting, state: State, period: Array) -> bool:
-    """Whether a cycle of this period is one of a family."""
-    if shooting.forcing_periods is not None:
-        return False
-    family = replace(shooting, parameter="period")
-    u = np.append(family.pack(state, period), float(period))
-    solve = make_corrector(residual, linearise, family, u.size - 1, family.weights(1.0), 1e-9)
-    found = solve(u, np.append(np.zeros(u.size - 1), 1.0))
-    if found is None or not found.extra.sound:
-        return False
-    return bool(np.min(np.abs(found.extra.multipliers - 1.0)) < _ONE)
+def _family(equations: Shooting | _States, state: State, period: Array) -> str:
+    """That cycles near the guess are a family, and what helps; "" if they are not."""
+    field = equations.field
+    if equations.forcing_periods is not None:
+        return ""
+    if isinstance(equations, Shooting):
+        family = replace(equations, parameter="period")
+        u = np.append(family.pack(state, period), float(period))
+        solve = make_corrector(residual, linearise, family, u.size - 1, family.weights(1.0), 1e-9)
+        found = solve(u, np.append(np.zeros(u.size - 1), 1.0))
+        known = found is not None and found.extra.sound
+        multipliers = found.extra.multipliers if known else np.zeros(1)
+        remedy = (
+            f"Follow it from period {float(period):.6g} with "
+            '`continue_cycle(model, state, period, parameter="period")`.'
+        )
+    else:
+        M, f = monodromy_matrix(field, state, period), jnp.concatenate(field(0.0, state))
+        multipliers = orbit_multipliers(M, f).multipliers
+        remedy = "Damping selects one."
+    if not np.min(np.abs(np.asarray(multipliers) - 1.0)) < _ONE:
+        return ""
+    return (
+        "There is no single limit cycle near the guess: a second multiplier is 1, so the cycle is "
+        f"one of a family, as without damping. {remedy}"
+    )
 
 
 def _missing(model: Any, kind: str, reason: str = "") -> str:

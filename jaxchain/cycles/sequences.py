@@ -46,8 +46,9 @@ class _Part(NamedTuple):
     """A phase: the mode of each mass, its duration, the events at its end, whether it is new.
 
     By symmetry several masses may have the same event at the same time, all along a branch.
-    `special`: the kind of the special cycle to which the first event belongs, or ""; `onset`: the
-    masses that are at the onset of sticking as they land, on a special cycle.
+    `special`: the kind of the special cycle to which the first event belongs, or "", and `sign` of
+    r there, which at a landing may have changed since the sequence was read; `onset`: the masses
+    that are at the onset of sticking as they land, on a special cycle.
     """
 
     mode: tuple[float, ...]
@@ -55,6 +56,7 @@ class _Part(NamedTuple):
     events: tuple[tuple[str, int, float], ...]
     new: bool = False
     special: str = ""
+    sign: float = 0.0
     onset: frozenset[int] = frozenset()
 
     @property
@@ -156,8 +158,7 @@ def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]
     for j, part in enumerate(of.parts):
         mode, after = list(part.mode), of.parts[(j + 1) % len(of.parts)].mode
         if part.special:
-            event, _, sign = part.events[0]
-            special = len(events), part.special, 0.0 if event == "peak" else sign
+            special = len(events), part.special, part.sign
         for first, event in enumerate(part.events):
             modes.append(tuple(mode))
             mode[event[1]] = after[event[1]]
@@ -299,7 +300,7 @@ def _without(
     """
     k, kind, swapped = len(parts), "", []
     removed: set[tuple[int, int]] = set()  # (part, mass) of an event
-    touch: tuple[int, tuple[str, int, float]] | None = None
+    touch: tuple[int, tuple[str, int, float], float] | None = None
     for j in gone:
         before, part, after = parts[j - 1], parts[j], parts[(j + 1) % k]
         if before.masses != part.masses:
@@ -311,11 +312,13 @@ def _without(
             if before.mode[i] == after.mode[i]:
                 own = "release" if event == "release" else "grazing"
                 removed |= {(at, i), (j, i)}
+                way = 0.0 if own == "grazing" else sign
                 event = "turn" if own == "release" else "peak"
-            else:  # from one side to the other
+            else:  # from one side to the other; the force may have changed its sign on the way
                 own = "stick onset"
                 removed |= {(j, i)}
-            kind, touch = kind or own, touch or (at, (event, i, sign))
+                way = after.mode[i] if part.mode[i] == STICK else part.mode[i]
+            kind, touch = kind or own, touch or (at, (event, i, sign), way)
     alike = tuple(sorted({i for _, i in removed}))
     exact = None
     if kind == "two events":
@@ -335,14 +338,14 @@ def _without(
 
 def _reordered(
     parts: list[_Part], ends: np.ndarray, removed: set[tuple[int, int]], swapped: list[int],
-    special: tuple[str, int, tuple[str, int, float]] | None = None,
+    special: tuple[str, int, tuple[str, int, float], float] | None = None,
 ) -> _Sequence | None:  # fmt: skip
     k, left = len(parts), []
     for j, part in enumerate(parts):
         events = tuple(event for event in part.events if (j, event[1]) not in removed)
         if special and special[1] == j:
             others = tuple(event for event in events if event[1] != special[2][1])
-            part = part._replace(special=special[0])
+            part = part._replace(special=special[0], sign=special[3])
             events = (special[2], *others)
         left.append(part._replace(events=events))
     if not any(part.events for part in left):  # it slides all the time
@@ -457,6 +460,8 @@ def _with_touches(
     event = "peak" if kind == "grazing" else "turn"
     exact, part = [*parts], parts[top.part]
     cut = _Part(part.mode, part.duration, ((event, top.mass, top.sign),), special=kind)
+    if kind == "release":
+        cut = cut._replace(sign=top.sign)
     if orbit.slips:
         exact, first = [cut], at.states[top.part, top.sample]
     else:
@@ -499,7 +504,9 @@ def _with_onsets(
                 if first:
                     own = event, i, sign
                     others = tuple(other for other in part.events if other[1] != i)
-                    exact[k] = exact[k]._replace(events=(own, *others), special="stick onset")
+                    exact[k] = exact[k]._replace(
+                        events=(own, *others), special="stick onset", sign=sign
+                    )
                 first = False
         new.append(part)
         if events:

@@ -139,7 +139,16 @@ class Returned(NamedTuple):
     @property
     def times_round(self) -> Int[Array, ""]:
         """The greatest k for which the state returns after 1 / k of the run, or 1."""
+        return self.times_round_of(None)
+
+    def times_round_of(self, forcing_periods: int | None) -> Int[Array, ""]:
+        """The same; of a forced run only k that divide its number of periods of the force.
+
+        A mass that sticks is in the same state at other times, too.
+        """
         came_back = self.apart <= _CAME_BACK * self.farthest
+        if forcing_periods is not None:
+            came_back &= jnp.asarray([forcing_periods % k == 0 for k in FACTORS])
         return jnp.max(jnp.where(came_back, jnp.asarray(FACTORS), 1))
 
     def same(self, one: State, other: State) -> Bool[Array, ""]:

@@ -197,8 +197,3 @@ def test_a_family_of_cycles_has_no_single_one():
     cells = MechanicalCells(1.0, friction=Coulomb(0.5), belt_speed=1.0)
     with pytest.raises(RuntimeError, match="one of a family"):
         find_limit_cycle(cells, (jnp.array([0.8]), jnp.zeros(1)), period=2 * np.pi)
-
-
-def test_a_branch_of_dry_cells_says_why_it_is_refused(one):
-    with pytest.raises(ValueError, match="has dry friction"):
-        jc.continue_cycle(one)

@@ -19,7 +19,9 @@ def test_cycles_without_damping_are_a_family_over_their_period(amplitude):
 
     assert exact(1.0) == pytest.approx(4.76802202910, abs=1e-11)
     state = jnp.zeros(1), jnp.full(1, np.sqrt(amplitude**2 + amplitude**4 / 2) + 0.05)
-    with pytest.raises(RuntimeError, match=r"second multiplier is 1, so cycles are a family"):
+    with pytest.raises(
+        RuntimeError, match="a second multiplier is 1, so the cycle is one of a family"
+    ):
         find_limit_cycle(cells, (state, exact(amplitude)))
     up = continue_cycle(cells, state, exact(amplitude), parameter="period")
     assert up.ended == "stopped"

@@ -120,6 +120,27 @@ def test_a_forced_response_gains_two_stops_at_an_onset(response):
     assert branch.ended == "left_bounds"
 
 
+def test_a_mass_that_sticks_at_phase_0_returns_after_one_period_of_the_force():
+    """It is in the same state at other times of the stick, too."""
+    model = forced(0.3, 1.6)
+    cycle = find_limit_cycle(model, simulate(model, tuple(jnp.zeros((2, 1))), 400.0))
+    assert cycle.turns == 1
+    assert float(cycle.period) == pytest.approx(2 * np.pi / 0.3, rel=1e-14)
+    # The force at a landing changes its sign before its stick is gone.
+    branch = continue_cycle(cycle, parameter="frequency", bounds=(0.1, 0.8))
+    assert branch.ended == "left_bounds"
+    assert [(point.kind, point.refined) for point in branch.special] == [("stick onset", True)]
+    for k, count in (0, 2), (-1, 0):
+        assert len(scipy_at(model, branch, k)[2]) == count
+
+
+def test_a_branch_ends_where_the_belt_stops(one_mass):
+    branch = continue_cycle(find_limit_cycle(one_mass[0]), direction=-1)
+    assert branch.ended == "belt_speed = 0"
+    assert not branch.special
+    assert 0 < branch.parameter[-1] < 0.02
+
+
 def test_special_points_of_dry_branches_are_followed_and_differentiated(one_mass, response):
     (fold, hopf), (onset,) = one_mass[1].special, response[1].special
     curve = continue_special(fold, "damping_ratio", max_points=4)
