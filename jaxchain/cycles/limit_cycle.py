@@ -890,8 +890,9 @@ def _family(equations: Shooting | _States, state: State, period: Array) -> str:
         u = np.append(family.pack(state, period), float(period))
         solve = make_corrector(residual, linearise, family, u.size - 1, family.weights(1.0), 1e-9)
         found = solve(u, np.append(np.zeros(u.size - 1), 1.0))
-        known = found is not None and found.extra.sound
-        multipliers = found.extra.multipliers if known else np.zeros(1)
+        if found is None or not found.extra.sound:
+            return ""
+        multipliers = found.extra.multipliers
         remedy = (
             f"Follow it from period {float(period):.6g} with "
             '`continue_cycle(model, state, period, parameter="period")`.'
