@@ -16,6 +16,7 @@ from jaxchain import (
     ExponentialDecay,
     continue_cycle,
     continue_special,
+    equation_8,
     find_limit_cycle,
     fold_belt_speed,
     paper_chain,
@@ -203,8 +204,7 @@ def test_a_dry_branch_of_a_ring_is_the_limit_of_smoothed_ones():
     speeds, counts = np.array([1.2, 1.42, 1.6, 1.7, 1.78]), []
     for width in (None, 1e-4):
         chain = paper_chain(3, belt_speed=1.5, width=width)
-        start = tuple(jnp.array([a, b, a]) for a, b in ((0.6, 1.5), (0.1, 0.3)))
-        cycle = find_limit_cycle(chain, simulate(chain, start, 3000.0))
+        cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 3000.0))
         sides = [
             continue_cycle(cycle, direction=d, bounds=(1.16, 2.0), images=(0, 1, 0))
             for d in (1, -1)
