@@ -171,13 +171,13 @@ class Branch(Printed):
             return last
         return f"At the first point: {first} At the last point: {last}"
 
-    def up_to(self, point: SpecialPoint) -> Branch:
-        """The branch before one of its special points."""
-        k = point.index + 1
+    def up_to(self, index: int, arclength: float) -> Branch:
+        """The branch up to the point `index`, with its special points before `arclength`."""
+        k = index + 1
         names = "u", "p", "arclength", "tangents", "residuals"
         rows = {name: getattr(self, name)[:k] for name in names}
         extra = jax.tree.map(lambda leaf: leaf[:k], self.extra)
-        before = tuple(other for other in self.special if other.arclength < point.arclength)
+        before = tuple(other for other in self.special if other.arclength < arclength)
         return replace(self, extra=extra, special=before, **rows)
 
     def of_kind(self, kind: str) -> tuple[SpecialPoint, ...]:

@@ -66,7 +66,7 @@ from .floquet import (
     scaled_peak_velocity,
 )
 from .phases import KINDS, CycleProperties, DryRun, Phases
-from .sequences import Start, change_at, corrector_of, sequence_of, tests_of, vanishing
+from .sequences import Start, change_at, corrector_of, is_valid, sequence_of, tests_of, vanishing
 from .shooting import CycleLinearisation, Shooting, linearise, residual
 from .symmetry import (
     CycleSymmetry,
@@ -1074,6 +1074,8 @@ def _follow_dry(
                 if _is_special(s) and (met is None or abs(s.p - met.p) > _SAME * abs(met.p))
             ]
             start = None
+            if branch.ended == "interrupted":
+                met = None
             if met is not None and met.kind == "hopf":
                 corrector = corrector_of(orbit, met.p, options["tolerance"])
                 rest = _at_rest(corrector, met, {}) or replace(met, refined=False, error=np.inf)
@@ -1120,7 +1122,7 @@ def _dry_piece(
 
     def ends(u: np.ndarray, p: float, tangent: Any, extra: Any) -> Any:
         if not extra.sound:
-            return "it is no longer a cycle: its period, or a duration, is lost"
+            return "its phases are too long to be integrated accurately, or not finite"
         if any(tests[name](u, p, tangent, extra) > 0 for name in ENDS if name in tests):
             return "the sequence of phases changes"
         return stop is not None and stop(p, extra)
@@ -1135,7 +1137,12 @@ def _dry_piece(
     met = min(
         (s for s in branch.special if s.kind in ENDS), key=lambda s: s.arclength, default=None
     )
-    return (branch if met is None else branch.up_to(met)), met
+    if met is not None:
+        return branch.up_to(met.index, met.arclength), met
+    last = jax.tree.map(lambda leaf: leaf[-1], branch.extra)
+    if branch.p.size > 1 and not is_valid(start.orbit, last):
+        branch = branch.up_to(branch.p.size - 2, branch.arclength[-1])
+    return branch, None
 
 
 def _is_special(point: SpecialPoint) -> bool:

@@ -40,6 +40,8 @@ _GONE, _BEGIN = (1e-5, 1e-7), 1e-4
 # share of the phase; and how close in the run from which a sequence is read.
 _TOGETHER, _SAME_TIME, _GROUPED = 1e-5, 1e-3, 1e-3
 _NEWTON_STEPS, _CONVERGED = 12, 1e-10
+# The greatest distance of a special cycle from where its branch met it, which is less accurate.
+_SAME_POINT = 1e-5
 
 
 class _Part(NamedTuple):
@@ -261,6 +263,8 @@ def _exactly(
             move = np.linalg.lstsq(slopes, r, rcond=1e-12)[0]
             z, error = z - move, float(np.linalg.norm(move))
             if error < _CONVERGED * (1.0 + np.linalg.norm(z)):
+                if abs(z[-1] - raw.p) > _SAME_POINT * (1.0 + abs(raw.p)):
+                    break  # another special cycle
                 found = {"u": z[:-1], "p": float(z[-1]), "extra": seen, "left_over": 0.0}
                 return there, replace(raw, **found, error=error, refined=bool(seen.sound))
     return orbit, replace(raw, refined=False, error=np.inf)
