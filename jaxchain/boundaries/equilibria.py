@@ -208,7 +208,7 @@ def lyapunov_coefficient(
     J = jax.jacfwd(rates)(y)
     values, vectors = jnp.linalg.eig(lax.stop_gradient(J))
     at = jnp.argmin(jnp.abs(values - 1j * frequency))
-    # Eigenvectors from a bordered matrix, which have derivatives; those of `eig` have none.
+    # A bordered matrix gives eigenvectors with derivatives; JAX has none for `eig`.
     one = jnp.zeros(y.size + 1, complex).at[-1].set(1.0)
     right, left = vectors[:, at], jnp.linalg.solve(vectors.T, jnp.zeros_like(values).at[at].set(1))
     bordered = jnp.block([

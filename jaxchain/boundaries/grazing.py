@@ -99,7 +99,7 @@ _SET = GrazingSettings()
 class GrazingOrbit(eqx.Module):
     """The equations: unknowns q = (x_n, v_n for n != j, ln T, v_d), 2n of them.
 
-    `steps` are those of a period, `forward` the share of it that is run forward, a half or 0.
+    `steps` in a period; `forward`: the share of the period that is run forward, a half or 0.
     """
 
     chain: Chain
