@@ -10,10 +10,14 @@ from jaxchain.boundaries.special_curves import CurvePoint, SpecialCurve
 from jaxchain.continuation.branch import Branch, SpecialPoint
 from jaxchain.cycles.branches import CycleBranch, CyclePoint
 from jaxchain.cycles.shooting import Shooting
+from jaxchain.kinds.fold import Fold
+from jaxchain.kinds.hopf import Hopf
+from jaxchain.kinds.multipliers import PeriodDoubling, Torus
 from jaxchain.model.chain import paper_chain
 from jaxchain.result import NAMES
 from jaxchain.solvers.rosenbrock import Rodas5P
 
+KINDS = {kind.name: kind for kind in (Fold(), Hopf(), Torus(), PeriodDoubling())}
 PAPER = {
     "ends": "cyclic",
     "belt_speed": "swept",
@@ -109,7 +113,17 @@ def cycle_branch(n=2, special=("fold", "hopf")):
         state, own = np.full(n, top), top * 0.1 ** np.arange(n)
         points.append(
             CyclePoint(
-                kind, p, (state, -state), 6.3, own, multipliers[0], True, 1e-9, raw, shooting, 0.5
+                KINDS[kind],
+                p,
+                (state, -state),
+                6.3,
+                own,
+                multipliers[0],
+                True,
+                1e-9,
+                raw,
+                shooting,
+                0.5,
             )
         )
     tangents, none = np.ones((8, 2 * n + 1)), np.zeros(8)
@@ -126,7 +140,7 @@ def special_curve(kind="fold"):
     first = 0.5 + (0.3 - second) * {"fold": 4.0, "hopf": 2.0}[kind]
     meeting = CurvePoint("generalised Hopf", 0.5, 0.3, 1e-9, 1, np.zeros(4))
     parts = np.zeros((3, 1))
-    equations = (SimpleNamespace(field=paper_chain(1, width=1e-2), kind=kind),) * 3
+    equations = (SimpleNamespace(field=paper_chain(1, width=1e-2), kind=KINDS[kind]),) * 3
     return SpecialCurve(
         kind, ("belt_speed", "damping_ratio"), first, second, (parts, parts), np.full(3, 6.3),
         parts, np.zeros(3), (meeting,), ("left_bounds", "generalised Hopf"), equations, parts,

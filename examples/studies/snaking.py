@@ -83,7 +83,7 @@ def own(branch):
         end = f"Hopf point at {hopf[-1].parameter:.6f}"
 
     def more(parameter, state, period, **tolerance):
-        at = branch.shooting.at(parameter)
+        at = branch.orbit.at(parameter)
         label = cycle_symmetry(at, tuple(state), period, **tolerance).label
         return label if label != branch.symmetry else None
 

@@ -1,23 +1,8 @@
 """Curves of special points in two parameters of a model, and special cycles to all digits.
 
-A special point solves the equations F(u, p) = 0 of its cycle or equilibrium and one more, g = 0;
-with a second parameter q free such points form a curve (Govaerts, Numerical Methods for
-Bifurcations of Dynamical Equilibria, SIAM 2000, chapters 4 and 5; Kuznetsov, Elements of Applied
-Bifurcation Theory, chapters 8 to 10).  M is the monodromy matrix.
-
-| kind | g |
-|---|---|
-| fold | s of F_u, where F holds the phase condition |
-| period doubling | s of M + 1 |
-| symmetry breaking | s of A^T M A - 1, A a basis of the disturbances that break the symmetry |
-| torus | mu_1 mu_2 - 1, for a pair of multipliers with the mean kappa, one more unknown |
-| grazing, release, stick onset | that of `cycles/phases.py`; "grazing fold" of a slip cycle |
-| hopf | lambda_1 + lambda_2, for a pair of eigenvalues with the product kappa = omega^2 |
-
-s is the least singular value with the sign of the determinant.  With its singular vectors a and b,
-ds = a^T dA b, so the slopes of g take one nested derivative of the flow, along b, and no borders
-that would have to follow the null vectors along the curve.  Sums and products of a pair are smooth
-where its two values meet, at the ends of the curve.
+A special point solves the equations of its cycle or equilibrium and one more, which its kind has
+(see `jaxchain/kinds/kind.py`); with a second parameter free such points form a curve.  A Hopf
+point has lambda_1 + lambda_2 = 0, for a pair of eigenvalues with the product kappa = omega^2.
 
 With dry friction a curve of folds consists of two kinds of pieces: grazing folds, and smooth folds
 of slip cycles that stay slower than the belt.  They meet, with one tangent, at a degenerate
@@ -29,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import equinox as eqx
@@ -55,16 +39,15 @@ from ..continuation.arclength import continue_branch
 from ..continuation.branch import ENDINGS, Branch
 from ..continuation.damped_newton import check_tolerance, factorise, solve
 from ..continuation.implicit import attach_derivative, if_found
-from ..cycles.branches import (
-    CyclePoint,
-    cycles_at,
-    return_of_broken,
-)
+from ..cycles.branches import CyclePoint
 from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
-from ..cycles.phases import KINDS as DRY_KINDS
-from ..cycles.phases import Phases, phases_of, slip_phases
-from ..cycles.shooting import Shooting
-from ..cycles.symmetry import Symmetry
+from ..cycles.orbit import AbstractOrbit
+from ..cycles.phases import MET, OTHER_EVENTS, phases_of, slip_phases
+from ..cycles.shooting import SMALL
+from ..kinds.changes import NAMES
+from ..kinds.fold import Fold
+from ..kinds.hopf import Hopf
+from ..kinds.kind import AbstractKind, Unknowns
 from ..model.arguments import as_mass, as_model, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
@@ -77,13 +60,6 @@ from .grazing import Grazing
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_KINDS = ("fold", "period doubling", "symmetry breaking", "torus")
-# The amplitude, as a share of the first one, at which a curve of folds counts as ended.
-_SMALL = 1e-3
-# A margin of rounding.
-_MET = 1e-9
-# What else may happen on a cycle with dry friction, in the order of `CycleProperties.margins`.
-_OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
 # Beside the length of the tangent: slopes of both parameters that vanish together at a cusp.
 _CUSP = 1e-4
 # Reasons besides those of a branch.
@@ -100,223 +76,110 @@ _LEAST_STEP = 1e-3
 # Below it a parameter has no scale of its own.
 _TINY = 1e-6
 # Ends that a parameter which vanishes may cause, and its share of the greatest on the curve.
-_VANISHING = ("small", "lost", "step_too_small", *_OTHER_EVENTS)
+_VANISHING = ("small", "lost", "step_too_small", *OTHER_EVENTS)
 _VANISHED = 1e-3
 
 
 class _CycleEquations(eqx.Module):
     """R(U) = [F; g] with U = (u, p, ...) or, for a torus, (u, kappa, p, ...)."""
 
-    shooting: Any
-    kind: str = eqx.field(static=True)
-    # What remains of a symmetry that breaks; None: none breaks.
-    kept: Symmetry | None = eqx.field(static=True, default=None)
-    # A user's own test of a cycle, or None.
-    event: Callable[[Any], Any] | None = eqx.field(static=True, default=None)
-
-    @property
-    def dry(self) -> bool:
-        """Whether the cycle consists of phases."""
-        return isinstance(self.shooting, Phases)
-
-    @property
-    def smooth(self) -> bool:
-        """Whether g is that of the smooth kinds, and no event."""
-        return (not self.dry or self.kind == "fold") and self.event is None
-
-    def beyond(self, ended: str, U: np.ndarray) -> _CycleEquations | None:
-        """The equations of the next piece, if the curve goes on where this one has ended."""
-        if ended == "degenerate grazing":
-            kind = "grazing fold" if self.kind == "fold" else "fold"
-            return _CycleEquations(self.shooting.touching(kind != "fold"), kind)
-        if ended != "two events":
-            return None
-        u, _, _ = self.split(jnp.asarray(U))
-        durations = np.where(self.shooting.apart, u[-len(self.shooting.events) :], np.inf)
-        shooting = self.shooting.swapped(int(np.argmin(durations)))
-        return shooting and replace(self, shooting=shooting)
-
-    @property
-    def _extra(self) -> int:
-        """The number of unknowns besides those of the cycle and the parameters."""
-        return int(self.kind == "torus")
-
-    def split(self, U: Array) -> tuple[Array, tuple[Array, ...], Any]:
-        """(u, parameters, kappa)."""
-        m, k = self.shooting.size, self._extra
-        return U[:m], tuple(U[m + k :]), U[m]
-
-    def values(self, U: Array) -> tuple[Array, Array, Any, Array, Array]:
-        """(R, [F_u F_p ...], further results, a, b) from one integration."""
-        u, parameters, kappa = self.split(U)
-        r, slopes, extra = self.shooting.cycle(u, *parameters)
-        M = jnp.zeros(()) if self.dry else extra.monodromy
-        if self.kind == "torus":
-            left, right = _pair(M, kappa)
-            return jnp.append(r, _of_pair(left @ M @ right, kappa)), slopes, extra, left, right
-        if self.kind == "fold":
-            # Rows count by all their slopes: at the fold of one mass a row of F_u vanishes.
-            rows = jnp.max(jnp.abs(slopes), axis=1)
-            g, left, right = _signed_least(slopes[:, : u.size], rows)
-        elif self.kind == "period doubling":
-            g, left, right = _signed_least(M + jnp.eye(len(M)))
-        else:
-            basis, block, at = return_of_broken(
-                extra.part, self.shooting, cast(Symmetry, self.kept)
-            )
-            g, left, right = _signed_least(block - at * jnp.eye(len(block)))
-            left, right = basis @ left, basis @ right
-        return jnp.append(r, g), slopes, extra, left, right
-
-    def value(self, U: Array) -> Array:
-        """R, for steps without new derivatives."""
-        return self.values(U)[0] if self.smooth else self.residual(U)
-
-    def with_fixed_vectors(self, U: Array, left: Array, right: Array) -> Array:
-        """A function that has the slopes of g at the point of a = `left` and b = `right`."""
-        u, parameters, kappa = self.split(U)
-        shooting = self.shooting
-
-        def end(y: Array) -> Array:
-            to_end, kept = shooting, self.kept
-            if kept is None or kept[0] != shooting.images:  # see `return_of_broken`
-                to_end = replace(shooting, shift=kept and kept[1])
-            field, _, period = shooting.unpack(u, *parameters)
-            return jnp.concatenate(to_end.end(field, tuple(jnp.split(y, shooting.m)), period))
-
-        def image(one: Array) -> Array:
-            if self.kind == "fold":
-                return jax.jvp(lambda u: shooting.residual(u, *parameters), (u,), (one,))[1]
-            state = jnp.concatenate(shooting.unpack(u, *parameters)[1])
-            return jax.jvp(end, (state,), (one,))[1]
-
-        if self.kind != "torus":
-            return jnp.sum(left * image(right))[None]
-        images = jax.vmap(image, 1, 1)(jnp.concatenate([right.real, right.imag], axis=1))
-        return _of_pair(left @ lax.complex(images[:, :2], images[:, 2:]), kappa)
+    orbit: Any
+    kind: AbstractKind = eqx.field(static=True)
 
     @property
     def field(self) -> AbstractModel:
         """The model."""
-        return self.shooting.field
+        return self.orbit.field
 
     @property
     def names(self) -> tuple[str, str]:
         """The first and the second parameter."""
-        return self.shooting.parameter
-
-    def weights(self, U: np.ndarray) -> np.ndarray:
-        """Of the norm of steps, see `Shooting.weights`."""
-        m = self.shooting.size
-        of_cycle = self.shooting.weights(1.0)[:m]
-        return np.concatenate([of_cycle, np.ones(self._extra), _relative(U[-2:])])
+        return cast(tuple[str, str], self.orbit.parameter)
 
     @property
     def ends(self) -> tuple[str, ...]:
         """The tests at whose zero the curve ends."""
-        if self.dry:
-            return ("degenerate grazing", "persistence", *_OTHER_EVENTS)
-        return ("1:1", "1:2") if self.kind == "torus" else ()
+        return self.kind.curve_ends(self.orbit)
+
+    @property
+    def may_jump(self) -> tuple[str, ...]:
+        """Tests that may jump, which is no special point."""
+        return self.orbit.curve_ends
+
+    @property
+    def needs_belt(self) -> bool:
+        """Whether there is no such point where the belt stops."""
+        return self.orbit.forcing_periods is None
+
+    def beyond(self, ended: str, U: np.ndarray) -> _CycleEquations | None:
+        """The equations of the next piece, if the curve goes on where this one has ended."""
+        orbit = self.orbit.beyond(ended, U[: self.orbit.size])
+        return orbit and _CycleEquations(orbit, self.kind.beyond(orbit))
+
+    def split(self, U: Array) -> Unknowns:
+        """The parts of U."""
+        m, k = self.orbit.size, self.kind.unknowns
+        return Unknowns(U[:m], tuple(U[m + k :]), U[m])
+
+    def values(self, U: Array) -> tuple[Array, Array, Any, Any]:
+        """(R, [F_u F_p ...], further results, the vectors of g) from one integration."""
+        z = self.split(U)
+        r, slopes, extra = self.orbit.cycle(z.u, *z.parameters)
+        g, vectors = self.kind.equation(self.orbit, z, slopes, extra)
+        return jnp.append(r, g), slopes, extra, vectors
+
+    def value(self, U: Array) -> Array:
+        """R, for steps without new derivatives."""
+        return self.values(U)[0] if self.kind.from_slopes else self.residual(U)
+
+    def residual(self, U: Array) -> Array:
+        """R, with derivatives, in every parameter of the model as well."""
+        z, vectors = self.split(U), ()
+        if self.kind.from_slopes:  # g has the slopes that it has with fixed vectors
+            field = lax.stop_gradient(self.field)
+            fixed = replace(self, orbit=replace(self.orbit, field=field))
+            vectors = lax.stop_gradient(fixed.values(lax.stop_gradient(U))[3])
+        gaps = self.orbit.residual(z.u, *z.parameters)
+        return jnp.append(gaps, self.kind.fixed(self.orbit, z, vectors))
+
+    def linearise(self, U: Array) -> tuple[Array, Array, Any]:
+        """(R, its derivatives, further results)."""
+        r, slopes, extra, vectors = self.values(U)
+        m, k = self.orbit.size, self.kind.unknowns
+
+        def g(U: Array) -> Array:
+            return self.kind.fixed(self.orbit, self.split(U), vectors)
+
+        top = [slopes[:, :m], jnp.zeros((len(slopes), k)), slopes[:, m:]]
+        return r, jnp.concatenate([jnp.concatenate(top, axis=1), jax.jacfwd(g)(U)]), extra
+
+    def weights(self, U: np.ndarray) -> np.ndarray:
+        """Of the norm of steps, see `AbstractOrbit.weights`."""
+        of_cycle = self.orbit.weights(1.0)[: self.orbit.size]
+        return np.concatenate([of_cycle, np.ones(self.kind.unknowns), _relative(U[-2:])])
 
     def tests(self) -> dict[str, Callable[..., float]]:
         """The tests of `continue_branch`."""
-        if self.dry:
-            tests: dict[str, Any] = {
-                name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
-                for i, name in enumerate(_OTHER_EVENTS)
-            }
-            own = self.shooting.slips and self.shooting.special is None
-            if own and self.kind != "fold":
-                tests[_OTHER_EVENTS[0]] = lambda u, p, tangent, extra: min(
-                    -float(extra.margins[0]), float(extra.below)
-                )
-            if self.shooting.slips and self.kind == "fold":
-                tests["degenerate grazing"] = lambda u, p, tangent, extra: float(extra.below)
-            elif self.shooting.slips and self.shooting.special is not None:
-                # A grazing is a fold for rho > 1; each test jumps where the other is zero.
-                def share(rho: Any, power: int) -> float:
-                    x = float(rho) - 1.0
-                    return 1.0 if power < 0 and abs(x) < _MET else np.sin(np.arctan(x**power))
-
-                for name, power in ("degenerate grazing", 1), ("persistence", -1):
-                    tests[name] = lambda u, p, tangent, extra, power=power: share(extra.rho, power)
-            return tests
-        if self.kind == "torus":  # kappa = cos(2 pi / n)
-            lines = {"1:1": (-1, 1.0), "1:2": (1, 1.0), "1:3": (1, 0.5), "1:4": (1, 0.0)}
-            return {
-                name: lambda u, *_, a=a, b=b: float(a * u[-2] + b)
-                for name, (a, b) in lines.items()
-            }
-        at = {"fold": 1.0, "period doubling": -1.0}.get(self.kind)
-        if at is None:
-            return {}
-
-        def another(u: Any, p: Any, tangent: Any, extra: Any) -> float:
-            """Sum over i of the product of mu_j - at over j != i: zero for two that equal `at`."""
-            apart: Any = np.asarray(extra.multipliers) - at
-            return float(np.sum([np.prod(np.delete(apart, i)) for i in range(apart.size)]).real)
-
-        return {"1:1" if at > 0 else "1:2": another}
+        return self.kind.curve_tests(self.orbit)
 
     def stop(self, first: Any, extra: Any) -> str:
         """ "small" if the amplitude vanishes, "lost" if there is no cycle, else ""."""
         if not extra.sound:
             return "lost"
-        small = self.shooting.forcing_periods is None and extra.speed < _SMALL * first.speed
+        small = self.orbit.forcing_periods is None and extra.speed < SMALL * first.speed
         return "small" if small else ""
 
     def cycles(self, unknowns: Sequence[np.ndarray]) -> list[tuple[Any, Any, Any]]:
         """(state, period, amplitude) of each."""
-        if self.dry:
-            return [jax.device_get(_dry_cycle(jnp.asarray(U), self)) for U in unknowns]
-        U, shooting = np.array(unknowns), self.shooting
-        states, *others = cycles_at(U[:, : shooting.size], U[:, -2:], shooting)
-        return list(zip(zip(*states, strict=True), *others, strict=True))
+        return self.orbit.seen_at(
+            np.array(unknowns)[:, : self.orbit.size], np.array(unknowns)[:, -2:]
+        )
 
-    def residual(self, U: Array) -> Array:
-        """R, with derivatives, in every parameter of the model as well."""
-        u, parameters, _ = self.split(U)
-        gaps = self.shooting.residual(u, *parameters)
-        if self.event is not None:
-            return jnp.append(gaps, self.event(self.shooting.seen(u, *parameters)))
-        return jnp.append(gaps, _test(U, self)) if self.smooth else gaps
-
-    def linearise(self, U: Array) -> tuple[Array, Array, Any]:
-        """(R, its derivatives, further results)."""
-        if not self.smooth:
-            u, parameters, _ = self.split(U)
-            r, slopes, extra = self.shooting.cycle(u, *parameters)
-            if self.event is not None:
-                of = partial(_event, equations=self)
-                g, row = of(U), jax.jacfwd(of)(U)
-                r, slopes = jnp.append(r, g), jnp.concatenate([slopes, row[None]])
-            return r, slopes, extra
-        r, slopes, extra, left, right = self.values(U)
-        m, k = self.shooting.size, self._extra
-        top = [slopes[:, :m], jnp.zeros((m, k)), slopes[:, m:]]
-        last = jax.jacfwd(self.with_fixed_vectors)(U, left, right)
-        return r, jnp.concatenate([jnp.concatenate(top, axis=1), last]), extra
-
-
-def _event(U: Array, equations: _CycleEquations) -> Array:
-    u, parameters, _ = equations.split(U)
-    return jnp.asarray(cast(Any, equations.event)(equations.shooting.seen(u, *parameters)))
-
-
-@eqx.filter_custom_jvp
-def _test(U: Array, equations: _CycleEquations) -> Array:
-    return equations.values(U)[0][equations.shooting.size :]
-
-
-@_test.def_jvp
-def _test_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
-    r, _, _, *vectors = primals[1].values(primals[0])
-
-    def fixed(U: Array, equations: _CycleEquations) -> Array:
-        return equations.with_fixed_vectors(U, *vectors)
-
-    _, tangent = eqx.filter_jvp(fixed, primals, tangents)
-    return r[primals[1].shooting.size :], tangent
+    def solved_at(self, curve: SpecialCurve, index: int, model: Any) -> SpecialCycle:
+        """The special cycle of another model near point `index` of a curve."""
+        U = jnp.asarray(curve.unknowns[index][:-1])
+        settings = to_float(_TOLERANCE), jnp.asarray(30)
+        return _checked(_in_steps(self, model, curve.names[0], U, *settings))
 
 
 def _relative(values: np.ndarray) -> np.ndarray:
@@ -324,41 +187,21 @@ def _relative(values: np.ndarray) -> np.ndarray:
     return 1.0 / np.where(np.abs(values) < _TINY, 1.0, np.abs(values))
 
 
-def _signed_least(matrix: Array, rows: Any = 1.0) -> tuple[Array, Array, Array]:
-    """(s, a, b) of the matrix with its rows divided by `rows`; ds = a^T dA b."""
-    rows = jnp.where(rows > 0, rows, 1.0) * jnp.ones(len(matrix))
-    scaled = matrix / rows[:, None]
-    left, sizes, right = jnp.linalg.svd(scaled)
-    sign = jnp.where(jnp.linalg.det(scaled) < 0, -1.0, 1.0)
-    return sign * sizes[-1], sign * left[:, -1] / rows, right[-1]
-
-
-def _pair(matrix: Array, kappa: Array) -> tuple[Array, Array]:
-    """Left and right eigenvectors, (2, d) and (d, 2), of the pair with the product 1.
-
-    Of all pairs it is the one whose product is closest to 1 and whose mean is closest to kappa.
-    """
-    values, vectors = jnp.linalg.eig(matrix)
-    i, j = np.triu_indices(len(matrix), 1)
-    product, mean = values[i] * values[j], 0.5 * (values[i] + values[j])
-    at = jnp.argmin(jnp.abs(product - 1.0) + jnp.abs(mean - kappa))
-    both = jnp.stack([jnp.asarray(i)[at], jnp.asarray(j)[at]])
-    return jnp.linalg.inv(vectors)[both], vectors[:, both]
-
-
-def _of_pair(block: Array, kappa: Array) -> Array:
-    """(mu_1 mu_2 - 1, their mean - kappa) of a block with these eigenvalues."""
-    product = block[0, 0] * block[1, 1] - block[0, 1] * block[1, 0]
-    return jnp.stack([product - 1.0, 0.5 * jnp.trace(block) - kappa]).real
-
-
 class _HopfEquations(eqx.Module):
     """R(U) = (f, g, product - kappa) with U = (y, kappa, p, q)."""
 
     rates: Rates
     second: str = eqx.field(static=True)
-    kind, dry = "hopf", False
-    ends = ("Bogdanov-Takens",)
+    kind, ends, may_jump = Hopf(), ("Bogdanov-Takens",), ("generalised Hopf",)
+
+    @property
+    def needs_belt(self) -> bool:
+        """Whether there is no such point where the belt stops."""
+        return self.field.dry
+
+    def beyond(self, ended: str, U: np.ndarray) -> None:
+        """Such a curve is one piece."""
+        del ended, U
 
     @property
     def names(self) -> tuple[str, str]:
@@ -396,6 +239,12 @@ class _HopfEquations(eqx.Module):
             of.append((state, period, np.zeros_like(state[0])))
         return of
 
+    def solved_at(self, curve: SpecialCurve, index: int, model: Any) -> HopfPoint:
+        """The Hopf point of another model near point `index` of a curve."""
+        first, state = curve.names[0], tuple(part[index] for part in curve.state)
+        there = model.with_(**{first: curve.first[index]})
+        return find_hopf_point(there, first, state, frequency=2 * np.pi / curve.period[index])
+
     def at(self, U: Array) -> tuple[Array, Rates, Array]:
         """(y, the rates with q set, p)."""
         field = self.rates.field.with_(**{self.second: U[-1]})
@@ -415,12 +264,6 @@ class _HopfEquations(eqx.Module):
         frequency = jnp.sqrt(jnp.maximum(U[-3], 0.0))
         l1 = lyapunov_coefficient(lambda y: rates(y, p), y, frequency)
         return self.residual(U), jax.jacfwd(self.residual)(U), l1
-
-
-@eqx.filter_jit
-def _dry_cycle(U: Array, equations: _CycleEquations) -> tuple[Any, Any, Any]:
-    u, parameters, _ = equations.split(U)
-    return tuple(equations.shooting.seen(u, *parameters))
 
 
 def _residual(U: Array, q: Any, equations: Any) -> Array:
@@ -446,7 +289,6 @@ class SpecialCycle(Outcome):
     See `find_special_cycle` for an example.
     """
 
-    kind: str = eqx.field(static=True)
     parameter: str = eqx.field(static=True)
     value: Float[Array, ""]
     state: State
@@ -458,9 +300,14 @@ class SpecialCycle(Outcome):
     unknowns: Float[Array, " more"]
 
     @property
-    def shooting(self) -> Shooting | Phases:
+    def kind(self) -> str:
+        """The name of the kind."""
+        return self.equations.kind.name
+
+    @property
+    def orbit(self) -> AbstractOrbit:
         """The equations of the cycle."""
-        return self.equations.shooting
+        return self.equations.orbit
 
 
 def find_special_cycle(
@@ -519,7 +366,7 @@ def find_special_cycle(
     known = equations.field
     model = known if model is None else as_model(model)
     check_kind("model", model, type(known), "the model of `point`", "change its numbers.")
-    if equations.dry:
+    if known.dry:
         model = model.with_(width=None)
     else:
         require_smoothed(model, "")
@@ -566,7 +413,7 @@ def _find(
     given: _CycleEquations, model: Any, name: str, U: Array, tolerance: Array, limit: Array
 ) -> SpecialCycle:
     def equations(field: Any) -> _CycleEquations:
-        return replace(given, shooting=replace(given.shooting, field=field, parameter=(name,)))
+        return replace(given, orbit=replace(given.orbit, field=field, parameter=(name,)))
 
     fixed, weights = equations(lax.stop_gradient(model)), 1.0 / (1.0 + jnp.abs(U))
 
@@ -577,21 +424,20 @@ def _find(
     root, result, steps = solve(both, lax.stop_gradient(U), weights, tolerance, limit)
     left, extra = both(root)[2]
     result = SearchResult.where(jnp.isfinite(left), result, SearchResult.nonfinite)
-    forced = given.shooting.forcing_periods is not None
+    forced = given.orbit.forcing_periods is not None
     moves = extra.sound & ((extra.speed > LEAST_VELOCITY) | forced)
     lost = (result == SearchResult.successful) & ~moves
     result = SearchResult.where(lost, SearchResult.steady_sliding, result)
-    if fixed.dry:
-        more = (result == SearchResult.successful) & (jnp.max(extra.margins) > _MET)
-        result = SearchResult.where(more, SearchResult.other_events, result)
+    more = (result == SearchResult.successful) & fixed.orbit.meets_more(extra)
+    result = SearchResult.where(more, SearchResult.other_events, result)
     once = "A special cycle can be differentiated once only."
     live = equations(model)
     root = attach_derivative(_solved, root, live, once=once)
     root = if_found(result == SearchResult.successful, root)
     u, (value,), _ = live.split(root)
-    _, state, period = live.shooting.unpack(u, value)
+    _, state, period = live.orbit.unpack(u, value)
     return SpecialCycle(
-        kind=given.kind, parameter=name, value=value, state=state, period=period, residual=left,
+        parameter=name, value=value, state=state, period=period, residual=left,
         result=result, steps=steps, equations=fixed, unknowns=root,
     )  # fmt: skip
 
@@ -610,70 +456,23 @@ def _start(point: Any) -> tuple[_CycleEquations, str, Array]:
         if not point.successful:
             raise ValueError(f"Argument `point` is a search that failed. {point.message}")
         chain, touches = point.chain.with_(width=None), bool(point.touches)
-        shooting, u = slip_phases(chain, point.state, point.period, point.mass, touches)
-        equations = _CycleEquations(shooting, "grazing fold" if touches else "fold")
+        orbit, u = slip_phases(chain, point.state, point.period, point.mass, touches)
+        equations = _CycleEquations(orbit, orbit.special_kind or Fold())
         return equations, "belt_speed", jnp.append(u, point.belt_speed)
-    own = isinstance(point, SpecialCycle) or point.event is not None
-    if not own and point.kind.removesuffix(" fold") not in (*_KINDS, *DRY_KINDS):
-        raise ValueError(
-            f"Argument `point` must be of one of the kinds {', '.join(_KINDS)}, but is a "
-            f'"{point.kind}". {remedy}'
-        )
     if isinstance(point, SpecialCycle):
         return point.equations, point.parameter, point.unknowns
-    if point.event is not None:
-        return _of_event(point)
-    if isinstance(point.shooting, Phases):
-        return _of_sequence(point, point.shooting)
-    pairs = point.multipliers[point.multipliers.imag > 0]
-    mu = pairs[np.abs(np.abs(pairs) - 1.0).argmin()] if point.kind == "torus" else 0j
-    kappa = [mu.real] if point.kind == "torus" else []
+    name = str(point.orbit.parameter)
+    orbit = replace(point.orbit, parameter=(name,))
+    kind, kappa = point.how.followed(orbit, point)
     U = jnp.asarray([*point.raw.u, *kappa, point.parameter])
-    kept = None
-    if point.kind == "symmetry breaking":
-        kept = tuple(range(point.shooting.n)), None
-        for symmetry in point.symmetries[:1]:
-            kept = symmetry.images, symmetry.shift
-    equations = _CycleEquations(point.shooting, point.kind, kept)
-    return equations, str(point.shooting.parameter), U
-
-
-def _of_event(point: CyclePoint) -> tuple[_CycleEquations, str, Array]:
-    """The same of a user's own event."""
-    U = jnp.append(jnp.asarray(point.raw.u), point.parameter)
-    name = str(point.shooting.parameter)
-    shooting = replace(point.shooting, parameter=(name,))
-    equations = _CycleEquations(shooting, point.kind, event=point.event)
-    try:
-        eqx.filter_eval_shape(_event, U, equations)
-    except AttributeError as error:
-        raise ValueError(
-            f'Argument `point` is the event "{point.kind}", whose function uses more of a cycle '
-            f"than `state`, `period` and `amplitude`, which are followed: {error}"
-        ) from error
-    return replace(equations, shooting=point.shooting), name, U
-
-
-def _of_sequence(point: CyclePoint, phases: Phases) -> tuple[_CycleEquations, str, Array]:
-    """The same of a special point of a branch of dry cycles."""
-    kind = "grazing fold" if phases.slips and phases.special is not None else point.kind
-    if (phases.special is None and kind != "fold") or not point.refined:
-        raise ValueError(
-            f'Argument `point` is a "{point.kind}" of a cycle with dry friction'
-            + ("" if point.refined else ", which was not solved for to all digits")
-            + ": folds and changes of the sequence of sticking and sliding are followed; of "
-            "smoothed friction all kinds are, `model.with_(width=1e-3)`."
-        )
-    kind = kind if phases.slips or kind == "fold" else kind.removesuffix(" fold")
-    U = jnp.append(jnp.asarray(point.raw.u), point.parameter)
-    return _CycleEquations(phases, kind), str(phases.parameter), U
+    return _CycleEquations(point.orbit, kind), name, U
 
 
 def _of_dry_cycle(
     point: Any, model: Any, kind: Any, mass: Any, name: Any
 ) -> tuple[_CycleEquations, str, Array]:
     """The same of a cycle with dry friction near a special one."""
-    check_one_of("kind", kind, DRY_KINDS[:3])
+    check_one_of("kind", kind, NAMES[:3])
     if is_cycle(point):
         field, state, period = point.chain, point.state, point.period
     elif isinstance(point, tuple | list) and len(point) == 2 and model is not None:
@@ -692,8 +491,8 @@ def _of_dry_cycle(
     state = check_orbit(field, state, period, 1e-9, "point")
     mass = as_mass(state[0].shape[0], mass, getattr(point, "mass", 0))
     value = as_parameter(field, name)
-    shooting, u = phases_of(field, state, period, kind, mass)
-    equations = _CycleEquations(shooting, "grazing fold" if shooting.slips else kind)
+    orbit, u = phases_of(field, state, period, kind, mass)
+    equations = _CycleEquations(orbit, cast(AbstractKind, orbit.special_kind))
     return equations, name, jnp.append(u, value)
 
 
@@ -761,7 +560,7 @@ class SpecialCurve(Printed):
     @property
     def kinds(self) -> tuple[str, ...]:
         """The kind of each point."""
-        return tuple(equations.kind for equations in self.equations)
+        return tuple(equations.kind.name for equations in self.equations)
 
     @property
     def message(self) -> str:
@@ -789,22 +588,17 @@ class SpecialCurve(Printed):
 
         **Raises:** `RuntimeError` if no such point is found.
         """
-        u = self.unknowns[range(len(self.first))[index]]
+        index = range(len(self.first))[index]
+        u = self.unknowns[index]
         if not np.all(np.isfinite(u)):
             raise ValueError(
                 f"Argument `index` = {shown(index)} is the end of the curve, where the amplitude "
                 "is 0: give one next to it."
             )
-        first, second = self.names
+        second = self.names[1]
         if model is None:
             model = self.chain.with_(**{second: u[-1]})
-        if self.kind == "hopf":
-            state = tuple(part[index] for part in self.state)
-            there = model.with_(**{first: u[-2]})
-            return find_hopf_point(there, first, state, frequency=2 * np.pi / self.period[index])
-        settings = to_float(_TOLERANCE), jnp.asarray(30)
-        U = jnp.asarray(u[:-1])
-        return _checked(_in_steps(self.equations[index], model, first, U, *settings))
+        return self.equations[index].solved_at(self, index, model)
 
     def to_dataset(self) -> Dataset:
         """The curve as an `xarray.Dataset` over `point`, with its special points over `special`.
@@ -935,7 +729,7 @@ def continue_special(
     remedy = "`continue_cycle(...).special`, `find_hopf_point` and dry `find_fold` have them."
     given = CyclePoint | SpecialCycle | Grazing | HopfPoint
     check_kind("point", point, given, "a special point of cycles or a `HopfPoint`", remedy)
-    if isinstance(point, CyclePoint) and point.kind == "hopf":
+    if isinstance(point, CyclePoint) and point.how == Hopf():
         point = _hopf_of(point)
     equations, U = _equations(point, second)
     first = equations.names[0]
@@ -982,14 +776,13 @@ def _equations(point: Any, second: Any) -> tuple[Any, Array]:
         U = jnp.append(y, jnp.stack([point.frequency**2, point.value]))
         return _HopfEquations(rates, second), U
     equations, first, U = _start(point)
-    shooting = replace(equations.shooting, parameter=(first, second))
-    return replace(equations, shooting=shooting), U
+    return replace(equations, orbit=replace(equations.orbit, parameter=(first, second))), U
 
 
 def _hopf_of(point: CyclePoint) -> HopfPoint:
     """The Hopf point at which a branch of cycles ends."""
-    name, state = str(point.shooting.parameter), tuple(map(jnp.asarray, point.state))
-    chain = point.shooting.field.with_(**{name: point.parameter})
+    name, state = str(point.orbit.parameter), tuple(map(jnp.asarray, point.state))
+    chain = point.orbit.field.with_(**{name: point.parameter})
     return find_hopf_point(chain, name, state, frequency=2 * np.pi / point.period)
 
 
@@ -1009,11 +802,9 @@ def _ranges(bounds: Any, *names: str) -> dict[str, tuple[float, float]]:
 def _limits(equations: Any, U: np.ndarray) -> dict[str, tuple[float, float]]:
     """The ranges of both parameters that have such points, on the side of the start."""
     limits = {}
-    hopf = equations.kind == "hopf"
-    driven = equations.field.dry if hopf else equations.shooting.forcing_periods is None
     for name, value in zip(equations.names, U[-2:], strict=True):
         signed = equations.field.parameter(name).sign != "any"
-        ends_at_0 = signed or (driven and name == "belt_speed" and value != 0)
+        ends_at_0 = signed or (equations.needs_belt and name == "belt_speed" and value != 0)
         low, high = (-np.inf, 0.0) if value < 0 else (0.0, np.inf)
         limits[name] = (low, high) if ends_at_0 else (-np.inf, np.inf)
     return limits
@@ -1046,7 +837,7 @@ def _side(
             f"No curve was found: {side} The given point may not be one of its kind, or may not "
             "depend on the second number."
         )
-    while equations.dry and (equations := equations.beyond(side.ended, side.unknowns[-1])):
+    while equations := equations.beyond(side.ended, side.unknowns[-1]):
         # Both pieces have one tangent there.
         before, meeting = side.unknowns[-2:]
         more = _piece(equations, meeting, int(np.sign(meeting[-1] - before[-1])), ranges, options)
@@ -1076,7 +867,7 @@ def _piece(
 
     def stop(u: np.ndarray, *others: Any) -> Any:
         first.append(others[-1])
-        passed = [name for name in ends if tests.get(name, edge)(u, *others) < -_MET]
+        passed = [name for name in ends if tests.get(name, edge)(u, *others) < -MET]
         return (passed or [edge(u) < 0 or done(first[0], first[-1])])[0]
 
     branch: Branch = continue_branch(
@@ -1090,12 +881,11 @@ def _piece(
     for raw in branch.special:
         kind, z = raw.kind, np.append(raw.u, raw.p)
         begins = kind in equations.ends and np.allclose(z, U, rtol=1e-9, atol=1e-9)
-        jumps = equations.dry or kind == "generalised Hopf"  # such a test may jump, see `tests`
-        if begins or (jumps and not raw.refined):
+        if begins or (kind in equations.may_jump and not raw.refined):
             continue
-        if kind == "fold":
+        if kind == Fold().name:
             slopes = np.abs(weights * raw.tangent)[-2:]
-            kind = "cusp" if equations.kind == "fold" and max(slopes) < _CUSP else "extremum"
+            kind = equations.kind.turn if max(slopes) < _CUSP else "extremum"
         if kind != "edge":
             error = raw.error if raw.refined else np.inf
             special.append(CurvePoint(kind, float(z[-2]), float(z[-1]), error, raw.index, z))
@@ -1105,12 +895,12 @@ def _piece(
             ended = "left_bounds" if kind == "edge" else kind
             break
     cycles = equations.cycles(unknowns)
-    if equations.kind == "fold" and ended in ("small", "step_too_small"):
+    if equations.kind.meets_hopf and ended in ("small", "step_too_small"):
         meeting = _end_of_folds(equations, np.array(unknowns), ranges)
         if meeting is not None:
             ended, special = meeting.kind, [*special, replace(meeting, index=len(cycles) - 1)]
             *y, kappa, p, q = meeting.unknowns
-            state = tuple(np.split(np.array(y), equations.shooting.m))
+            state = tuple(np.split(np.array(y), equations.orbit.m))
             unknowns.append(np.append(np.full(U.size - 2, np.nan), [p, q]))
             residual.append(residual[-1])
             cycles.append((state, 2 * np.pi / np.sqrt(kappa), np.zeros_like(state[0])))
@@ -1170,7 +960,8 @@ def _joined(equations: Any, sides: list[_Side]) -> SpecialCurve:
     unknowns = np.array(both("unknowns"))
     states, period, amplitude = zip(*both("cycles"), strict=True)
     return SpecialCurve(
-        kind=equations.kind, names=equations.names, first=unknowns[:, -2], second=unknowns[:, -1],
+        kind=equations.kind.name, names=equations.names,
+        first=unknowns[:, -2], second=unknowns[:, -1],
         state=tuple(map(np.stack, zip(*states, strict=True))), period=np.stack(period),
         amplitude=np.stack(amplitude), residual=np.array(both("residual")),
         special=tuple(special), ended=(back.ended, ahead.ended),

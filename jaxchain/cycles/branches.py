@@ -10,15 +10,12 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Complex, Float
-from scipy.interpolate import BarycentricInterpolator
+from jaxtyping import Complex, Float
 
 from .._checks import (
     check_concrete,
@@ -31,25 +28,20 @@ from .._checks import (
     to_float,
 )
 from .._final import final
-from .._types import ArrayLike, Given, ScalarLike, State, StateLike
+from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..continuation.arclength import (
     Switched,
     check_following,
     check_steps,
     check_walk,
     continue_branch,
-    make_corrector,
     switch_branch,
 )
-from ..continuation.branch import (
-    ENDINGS,
-    Branch,
-    Point,
-    SpecialPoint,
-    special_variables,
-)
-from ..continuation.corrector import Corrector
-from ..continuation.special_points import Located, Test, polish, zero_error
+from ..continuation.branch import ENDINGS, Branch, Point, SpecialPoint, special_variables
+from ..kinds.changes import NAMES
+from ..kinds.event import Event
+from ..kinds.fold import BranchPoint, Fold
+from ..kinds.kind import AbstractKind, AbstractTested
 from ..model.arguments import as_mass, as_parameter
 from ..model.model import AbstractModel
 from ..model.provenance import environment, parameters_of
@@ -58,49 +50,25 @@ from ..observers.base import renamed
 from ..result import Printed
 from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
-from .floquet import (
-    LimitCycle,
-    as_orbit,
-    check_orbit,
-    forcing_periods_of,
-    scaled_peak_velocity,
-)
-from .phases import KINDS, CycleProperties, DryRun, Phases
-from .sequences import Start, change_at, corrector_of, is_valid, sequence_of, tests_of, vanishing
-from .shooting import CycleLinearisation, Shooting, linearise, residual
-from .symmetry import (
-    CycleSymmetry,
-    Symmetry,
-    action,
-    as_symmetry,
-    elements,
-    finer,
-    isotropy,
-    label_of,
-    ring_motions,
-)
-from .variational import ExtremesAndTrace, flow
+from .floquet import LimitCycle, as_orbit, check_orbit, forcing_periods_of
+from .orbit import AbstractOrbit, Start, linearise, residual
+from .phases import Phases
+from .sequences import change_at, sequence_of
+from .shooting import RTOL, Shooting
+from .symmetry import CycleSymmetry, as_symmetry, label_of, ring_motions
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 
-# Tolerances of the integration and of Newton's method at special points.
-RTOL, _TOLERANCE = 3e-11, 1e-9
-_BREAKING = "symmetry breaking"
-# How close to +1 multipliers of one special point are.
-_UNIT = 1e-5
 _SUBGROUPS = "it is the index of one of `point.symmetries`."
-# Cycles that are integrated at once, in a sixth of the time.
-_TOGETHER = 8
-# A share of the parameter: closer to a change of the sequence another special point is part of it.
+# A share of the parameter: closer to the end of a piece another special point is part of it.
 _SAME = 1e-7
 # A share of the first belt speed, below which the belt stops.
 _STOPPED = 1e-5
-# The least amplitude of a family of cycles, over its first one.
-_SMALL = 1e-3
-# Arclength for the slope of a test; the error of a point where no better one can be solved.
-_PROBE, _ROUGH = 1e-4, 1e-6
+# What `continue_branch` finds without a test, and the names that are taken.
+_ALWAYS = (Fold(), BranchPoint())
+_TAKEN = ("fold", "branch point", "hopf", "torus", "period doubling", "symmetry breaking", *NAMES)
 
 
 @final
@@ -119,15 +87,15 @@ class CyclePoint(Printed):
     `parameter`, `state` (of a chain `x` and `v`), `period`, `amplitude`, `multipliers` are those
     of this cycle; `refined`: whether the search converged, with a known error; `error`:
     of `parameter`, from the search and from the integration, which uses a tight tolerance; `raw`:
-    the point of the equations, `shooting`; `scaled_peak_velocity` as in `CycleBranch`;
+    the point of the equations, `orbit`; `scaled_peak_velocity` as in `CycleBranch`;
     `symmetries` of a "symmetry breaking": the subgroups, as `CycleSymmetry`, along which other
     branches leave, one of each class of conjugate ones.  A zero of one of `events` has its name as
-    `kind`, and the function as `event`.
+    `kind`.  `how`: the kind as an object, see `jaxchain.kinds`.
 
     See `continue_cycle` for an example.
     """
 
-    kind: str
+    how: AbstractKind
     parameter: float
     state: tuple[Float[np.ndarray, " n"], ...]
     period: float
@@ -136,10 +104,14 @@ class CyclePoint(Printed):
     refined: bool
     error: float
     raw: SpecialPoint
-    shooting: Shooting | Phases
+    orbit: AbstractOrbit
     scaled_peak_velocity: float
     symmetries: tuple[CycleSymmetry, ...] = ()
-    event: Callable[[Any], Any] | None = None
+
+    @property
+    def kind(self) -> str:
+        """The name of the kind."""
+        return self.how.name
 
     @property
     def x(self) -> Float[np.ndarray, " n"]:
@@ -157,326 +129,15 @@ class CyclePoint(Printed):
         return self.raw.index
 
 
-def refined(
-    shooting: Shooting, weights: np.ndarray, tolerance: float, tests: Mapping[str, Test]
-) -> Callable[[SpecialPoint], SpecialPoint]:
-    """A result of a special point, from tightly integrated equations.
-
-    It does not depend on the tolerance of the branch.  Its error is the change for a tolerance ten
-    times as great, plus the remaining error of the search.
-    """
-    rtol = min(float(shooting.rtol), RTOL)
-    correctors = [
-        make_corrector(
-            residual,
-            linearise,
-            replace(shooting, rtol=share * rtol),
-            weights.size - 1,
-            weights,
-            min(tolerance, _TOLERANCE),
-        )
-        for share in (1.0, 10.0)
-    ]
-
-    def search(raw: SpecialPoint) -> SpecialPoint:
-        find = _at_rest if raw.kind == "hopf" else _located
-        tight, loose = (find(corrector, raw, tests) for corrector in correctors)
-        if tight is None:
-            return replace(raw, refined=False, error=np.inf)
-        integration = np.inf if loose is None else abs(tight.p - loose.p)
-        error = tight.error + integration
-        return replace(tight, refined=tight.refined and bool(np.isfinite(error)), error=error)
-
-    return search
-
-
-def _located(
-    corrector: Corrector, raw: SpecialPoint, tests: Mapping[str, Test]
-) -> SpecialPoint | None:
-    z = np.append(raw.u, raw.p)
-    rough = corrector.rough(z, _ROUGH)
-    start = corrector(z, raw.tangent) or rough(z, raw.tangent)
-    if start is None:
-        return None
-    z = start.z + _PROBE * start.tangent
-    beside = corrector(z, start.tangent, start) or rough(z, start.tangent, start)
-    if beside is None:
-        return None
-
-    def test(point: Point) -> float:
-        """The test function that vanishes at a special point of this kind."""
-        if raw.kind == "fold":
-            return float(point.tangent[-1])
-        if raw.kind == "branch point":
-            return point.sign * float(np.exp(min(point.logdet - beside.logdet, 300.0)))
-        return float(tests[raw.kind](point.u, point.p, point.tangent, point.extra))
-
-    slope = (test(beside) - test(start)) / _PROBE
-    error = zero_error(corrector, start, test(start), slope)
-    located = polish(corrector, Located(start, 0.0, 1.0, True, slope, error), test, 0.1)
-    numbers = {
-        name: getattr(located.point, name) for name in ("u", "p", "tangent", "extra", "residual")
-    }
-    return replace(raw, **numbers, left_over=abs(test(located.point)), error=located.error)
-
-
-def _at_rest(corrector: Corrector, raw: SpecialPoint, tests: Any) -> SpecialPoint | None:
-    """p in the limit of no amplitude a, from p = p_H + c a^2 + d a^4 + O(a^6).
-
-    Three small amplitudes determine it; the error is the change due to the third one.
-    """
-    del tests
-    z, points = np.append(raw.u, raw.p), []
-    for length in (5e-3, 1e-2, 1.5e-2):  # from the Hopf point
-        point = corrector(z - length * raw.tangent, raw.tangent)
-        if point is None:
-            return None
-        points.append((float(point.extra.speed) ** 2, point.p))
-    squares, located = zip(*points, strict=True)
-    if len(set(squares)) < len(squares):
-        return None
-    two, three = (float(BarycentricInterpolator(squares[:k], located[:k])(0.0)) for k in (2, 3))
-    return replace(raw, p=three, error=abs(three - two))
-
-
-def hardly_felt(branch: Branch, raw: SpecialPoint, test: Test) -> bool:
-    """Whether the change of sign of `test` is within the error of the multipliers.
+def hardly_felt(branch: Branch, raw: SpecialPoint, kind: AbstractTested, orbit: Any) -> bool:
+    """Whether the change of sign of a test is within the error of the multipliers.
 
     A localized vibration of many masses hardly depends on its position in the chain, so a shift is
     a disturbance with a multiplier of 1 to rounding, along the whole branch.
     """
     beside = raw.index, min(raw.index + 1, branch.p.size - 1)
     extras = [jax.tree.map(lambda leaf, k=k: leaf[k], branch.extra) for k in beside]
-    return any(abs(test(raw.u, raw.p, raw.tangent, extra)) < 1e-8 for extra in extras)
-
-
-def with_less_symmetry(
-    shooting: Shooting, point: CyclePoint, symmetry: CycleSymmetry
-) -> tuple[Shooting, SpecialPoint]:
-    """The equations with this symmetry only, and the point with the direction that keeps it."""
-    m, n, p, mass = shooting.m, shooting.n, point.parameter, shooting.mass
-    own = symmetry.images[mass]  # the section is at the representative of its class
-    images = tuple(mass if image == own else image for image in symmetry.images)
-    full = replace(shooting, images=images, shift=symmetry.shift)
-    _, null = breaking_disturbance(point.raw.extra, shooting, (symmetry.images, symmetry.shift))
-
-    def packed(z: Any) -> Any:
-        _, state, period = shooting.unpack(z[:-1], z[-1])
-        return jnp.append(full.pack(state, period, z[-1]), z[-1])
-
-    if shooting.forcing_periods is None:  # along the motion to the section
-        field, start = full.at(p), tuple(map(jnp.asarray, point.state))
-        pushes = tuple(jnp.asarray(part) for part in null.reshape(m, n))
-
-        def turn(change: State) -> Array:
-            def rate(y: State) -> Array:
-                return field.second_rate(0.0, y)[mass]
-
-            return jax.jvp(rate, (start,), (change,))[1]
-
-        flow = field(0.0, start)
-        null = null - float(turn(pushes) / turn(flow)) * np.concatenate(flow)
-
-    def disturbed(share: Any) -> Any:
-        pushes = null.reshape(m, n)
-        state = tuple(a + share * b for a, b in zip(point.state, pushes, strict=True))
-        return jnp.append(full.pack(state, point.period, p), p)
-
-    z = jnp.append(point.raw.u, p)
-    u, tangent = jax.jvp(packed, (z,), (jnp.asarray(point.raw.tangent),))
-    _, other = jax.jvp(disturbed, (jnp.zeros(()),), (jnp.ones(()),))
-    return full, replace(
-        point.raw, u=np.asarray(u)[:-1], tangent=np.asarray(tangent), other=np.asarray(other)
-    )
-
-
-def cycles_at(
-    u: Float[np.ndarray, "k m"], parameters: Float[np.ndarray, "k more"], shooting: Shooting
-) -> tuple[Any, Float[np.ndarray, " k"], Float[np.ndarray, "k n"]]:
-    """(state, period, amplitude) of k solutions; `linearise` has those of the iterates before."""
-    k = len(u)
-    rows = [np.minimum(first + np.arange(_TOGETHER), k - 1) for first in range(0, k, _TOGETHER)]
-    parts = [_cycles_at(u[row], parameters[row], shooting) for row in rows]
-    return jax.tree.map(lambda *part: np.concatenate(part)[:k], *parts)
-
-
-@eqx.filter_jit
-def _cycles_at(u: Any, parameters: Any, shooting: Shooting) -> tuple[Any, Array, Array]:
-    def one(u: Array, parameters: Array) -> tuple[State, Array, Array]:
-        field, state, period = shooting.unpack(u, *parameters)
-        _, _, ((low, high, _, _),) = flow(
-            field,
-            state,
-            period,
-            rtol=shooting.rtol,
-            solver=shooting.solver,
-            observers=[ExtremesAndTrace()],
-        )
-        return state, period, (high - low) / 2
-
-    return jax.vmap(one)(u, parameters)
-
-
-def symmetry_breaking_basis(
-    images: tuple[int, ...], m: int = 2, kept: tuple[int, ...] | None = None
-) -> Float[np.ndarray, "two_n k"]:
-    """An orthonormal basis of the disturbances of a state that break the symmetry of `images`.
-
-    Those only that keep the symmetry of `kept`, by default none; all of these if it is the same.
-    """
-    groups = np.asarray(images)[:, None] == np.unique(images)[None, :]
-    less = np.asarray(range(len(images)) if kept is None else kept)
-    within = (less[:, None] == np.unique(less)[None, :]).astype(float)
-    within /= np.sqrt(np.sum(within, axis=0))
-    rest = np.linalg.svd(within.T @ groups)[0][:, groups.shape[1] :]
-    return np.kron(np.eye(m), within if kept == images else within @ rest)
-
-
-def return_of_broken(part: Any, shooting: Shooting, kept: Symmetry) -> tuple[Any, Any, float]:
-    """(basis A, block, at): all but `kept` breaks where the block has the eigenvalue `at`.
-
-    The block is A^T Q A, with Q after the shift of `kept`, from `part`, after that of `shooting`.
-    If only shifts are lost, it is Q itself in disturbances that keep `images`, and `at` = -1.
-    """
-    images, shift, m = shooting.images, shooting.shift, shooting.m
-    basis = symmetry_breaking_basis(images, m, kept[0])
-    if kept[0] == images:
-        return basis, basis.T @ part @ basis, -1.0
-    at, share = kept[1] or (range(shooting.n), 1)
-    return basis, basis.T @ action(part, shift, at, shooting.parts // share, m) @ basis, 1.0
-
-
-def breaking_disturbance(
-    extra: CycleLinearisation, shooting: Shooting, kept: Symmetry
-) -> tuple[int, Float[np.ndarray, " two_n"]]:
-    """(how many multipliers are +1, a disturbance of the last of them), see `breaking`."""
-    basis, block, at = return_of_broken(np.asarray(extra.part), shooting, kept)
-    null = basis @ np.linalg.svd(block - at * np.eye(len(block)))[2][-1]
-    return int(np.sum(np.abs(np.linalg.eigvals(block) - at) < _UNIT)), null
-
-
-def symmetries_of(
-    extra: CycleLinearisation, shooting: Shooting, motions: list[np.ndarray]
-) -> tuple[CycleSymmetry, ...]:
-    """The subgroups along which branches leave a symmetry breaking."""
-    images, shift, found = shooting.images, shooting.shift, []
-    for kept in finer(motions, images, shift):
-        count, null = breaking_disturbance(extra, shooting, kept)
-        v, part = null.reshape(shooting.m, -1), np.asarray(extra.part)
-        less, mirrored = isotropy(motions, images, v, shift, part)
-        if count == 1 and elements(motions, *less) == elements(motions, *kept):
-            label = label_of(motions, *kept)
-            found.append(CycleSymmetry(label, kept[0], mirrored, kept[1]))
-    return tuple(found)
-
-
-def _signed(factors: Any) -> float:
-    """The least modulus of the factors, with the sign of their product.
-
-    It is linear in a factor that passes zero, for any other factors; a product of dozens is not.
-    """
-    if factors.size == 0:
-        return 1.0
-    return float(np.sign(np.prod(np.sign(factors.real[factors.imag == 0]))) * np.min(abs(factors)))
-
-
-def breaking(extra: CycleLinearisation, shooting: Shooting, kept: Symmetry) -> float:
-    """Zero if a disturbance that breaks the symmetry but for `kept` has a multiplier +1.
-
-    It comes from A^T M A - 1.  M maps these disturbances onto themselves; the trivial multiplier
-    belongs to the others.
-    """
-    _, block, at = return_of_broken(np.asarray(extra.part), shooting, kept)
-    return _signed(np.linalg.eigvals(block) - at + 0.0j)
-
-
-def doubling(extra: CycleLinearisation | CycleProperties) -> float:
-    """Zero where a multiplier is -1."""
-    return _signed(np.asarray(extra.multipliers) + 1.0)
-
-
-def encircling(extra: CycleLinearisation | CycleProperties) -> float:
-    """From |mu|^2 - 1 of all pairs: it changes its sign as a pair leaves the unit circle.
-
-    Pairs of real multipliers count, too, as mu_i mu_j - 1, so that the sign does not change where
-    a pair becomes real.  A zero of such a factor is not a bifurcation: see `on_the_circle`.
-    """
-    mu: Any = np.asarray(extra.multipliers)
-    real = mu[mu.imag == 0].real
-    i, j = np.triu_indices(real.size, 1)
-    pairs = np.abs(mu[mu.imag > 0]) ** 2 - 1.0
-    return _signed(np.concatenate([pairs, real[i] * real[j] - 1.0]) + 0.0j)
-
-
-def on_the_circle(extra: CycleLinearisation | CycleProperties) -> bool:
-    """Whether a complex pair of multipliers has modulus 1."""
-    mu: Any = np.asarray(extra.multipliers)
-    return bool(np.any(np.abs(np.abs(mu[mu.imag > 0]) - 1.0) < 1e-4))
-
-
-def special_tests(
-    shooting: Shooting, motions: list[np.ndarray]
-) -> dict[str, Callable[..., float]]:
-    """The tests of `continue_branch`: name -> function of (u, p, tangent, extra).
-
-    "hopf": the amplitude vanishes, and the branch continues as its own mirror image.  Where the
-    symmetry makes two multipliers pass +1 together, disturbances of less symmetry have one.
-    """
-
-    images, m, forced = shooting.images, shooting.m, shooting.forcing_periods is not None
-    symmetric = len(set(images)) < len(images) or shooting.shift is not None
-    of: dict[str, Callable[[Any], float]] = {}
-    if not forced and not shooting.is_family:
-        of["hopf"] = lambda extra: vanishing(float(extra.speed))
-    # One multiplier besides the trivial one is never negative.
-    if m * len(images) > 2 or forced:
-        of |= {"period doubling": doubling, "torus": encircling}
-    for kept in finer(motions, images, shooting.shift) if symmetric else []:
-        of[f"{_BREAKING} {kept}"] = lambda extra, kept=kept: breaking(extra, shooting, kept)
-    return {name: lambda u, p, tangent, extra, test=test: test(extra) for name, test in of.items()}
-
-
-ENDS = (*KINDS, "hopf")
-"""The tests at whose zero a piece of a branch of dry cycles ends."""
-
-
-def dry_tests(orbit: Phases) -> dict[str, Callable[..., float]]:
-    """The tests of `continue_branch` for a sequence of phases."""
-    of: dict[str, Callable[..., float]] = dict(tests_of(orbit))
-    if orbit.m * orbit.n > 2 or orbit.forcing_periods is not None:
-        of["period doubling"] = lambda u, p, tangent, extra: doubling(extra)
-        of["torus"] = lambda u, p, tangent, extra: encircling(extra)
-    return of
-
-
-def dry_cycles(
-    rows: Sequence[tuple[Phases, np.ndarray, float]], mass: int, rtol: Any
-) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
-    """(state, period, amplitude, scaled peak velocity of `mass`) of dry cycles, at their cut."""
-    orbit, d = rows[0][0], rows[0][0].m * rows[0][0].n
-    forced = orbit.forcing_periods is not None
-    columns = [
-        (u[:d], u[d] if forced else 0.0, np.sum(u[-len(of.events) :]), p) for of, u, p in rows
-    ]
-    given, k = [np.array(column) for column in zip(*columns, strict=True)], len(rows)
-    parts = []
-    for first in range(0, k, _TOGETHER):
-        some = [column[np.minimum(first + np.arange(_TOGETHER), k - 1)] for column in given]
-        runs = DryRun(orbit.field, to_float(rtol), mass, orbit.forcing_periods)
-        parts.append(_dry_cycles(runs, orbit.parameter, orbit.m, *some))
-    return jax.tree.map(lambda *part: np.concatenate(part)[:k], *parts)
-
-
-@eqx.filter_jit
-def _dry_cycles(runs: DryRun, name: Any, m: int, y: Any, t0: Any, period: Any, p: Any) -> Any:
-    def one(y: Array, t0: Array, period: Array, p: Array) -> Any:
-        own = replace(runs, field=runs.field.with_(**{name: p}))
-        state, _, seen = own.from_the_cut(tuple(jnp.split(y, m)), period, t0)
-        low, high, fastest, _ = seen
-        peaks = scaled_peak_velocity(own.field, fastest)
-        return state, period, (high - low) / 2, peaks[runs.mass]
-
-    return jax.vmap(one)(y, t0, period, p)
+    return any(abs(kind.test(orbit, extra)) < 1e-8 for extra in extras)
 
 
 class NoBranchError(RuntimeError):
@@ -502,7 +163,7 @@ class CycleBranch(Printed):
     - `special`: tuple of `CyclePoint`, in order; `ended`, `message`: why the branch ends.
     - `mass`: the index of the mass at whose greatest velocity the cycles are cut.
     - `pieces`: of each piece of the branch the equations, and the branch as their solution (with
-      `counts`); more than one with dry friction, whose sequence of phases changes.  `shooting`,
+      `counts`); more than one with dry friction, whose sequence of phases changes.  `orbit`,
       `branch`: of the last one.
 
     See `continue_cycle` for an example.
@@ -517,11 +178,11 @@ class CycleBranch(Printed):
     multipliers: Complex[np.ndarray, "k others"]
     trivial_defect: Float[np.ndarray, " k"]
     special: tuple[CyclePoint, ...]
-    pieces: tuple[tuple[Shooting | Phases, Branch], ...]
+    pieces: tuple[tuple[AbstractOrbit, Branch], ...]
     mass: int
 
     @property
-    def shooting(self) -> Any:
+    def orbit(self) -> Any:
         """The equations of the last piece."""
         return self.pieces[-1][0]
 
@@ -554,8 +215,8 @@ class CycleBranch(Printed):
     def symmetry(self) -> str:
         """The label of the symmetry of its cycles, "Z1" for none, see `CycleSymmetry`."""
         state = tuple(jnp.asarray(part[0]) for part in self.state)
-        field = self.shooting.at(*[self.parameter[0]] * (self.shooting.parameter is not None))
-        return label_of(ring_motions(field, state), self.shooting.images, self.shooting.shift)
+        field = self.orbit.at(*[self.parameter[0]] * (self.orbit.parameter is not None))
+        return label_of(ring_motions(field, state), self.orbit.images, self.orbit.shift)
 
     @property
     def ended(self) -> str:
@@ -585,7 +246,7 @@ class CycleBranch(Printed):
 
     def _named(self, states: list[np.ndarray]) -> Iterator[tuple[str, np.ndarray, str]]:
         """Name, values and unit of each variable of a cell."""
-        field = self.shooting.field
+        field = self.orbit.field
         for i, part in enumerate(states):
             yield field.variable(i).name, part, field.variable(i).unit
 
@@ -623,7 +284,7 @@ class CycleBranch(Printed):
         from xarray import Dataset
 
         special, k = self.special, len(self.parameter)
-        row = self.shooting.field.parameter(self.name)
+        row = self.orbit.field.parameter(self.name)
         # All cycles; those of the special points come last.
         parameters, period, amplitude, multipliers = (
             np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
@@ -636,7 +297,7 @@ class CycleBranch(Printed):
         scaled_peak_velocity = np.append(
             self.scaled_peak_velocity, [point.scaled_peak_velocity for point in special]
         )
-        field = self.shooting.field
+        field = self.orbit.field
         time = field.time_unit
         speed = getattr(field, "belt_speed", None)
         speed = parameters if self.name == "belt_speed" else speed
@@ -684,7 +345,7 @@ class CycleBranch(Printed):
             [(point.index, point.refined) for point in special],
             row.unit,
         )
-        n, shooting = self.x.shape[1], self.shooting
+        n, shooting = self.x.shape[1], self.orbit
         of_cycles.pop(self.name, None)  # a family over its period
         return Dataset(
             variables("", "point", slice(k), of_cycles | of_points)
@@ -789,7 +450,7 @@ def continue_cycle(
         [('grazing fold', 1.836601), ('hopf', 1.151293)]
     """
     check_following(stop, progress)
-    events = _checked_events(events)
+    own = _checked_events(events)
     if state is None and period is None and mass is None:
         mass = getattr(model, "mass", None)
     field, state, period = as_orbit(model, state, period)
@@ -826,7 +487,7 @@ def continue_cycle(
                 "`find_limit_cycle`, or begin at another value of the parameter."
             )
         begin = begin._replace(direction=way * begin.direction)
-        return _follow_dry(begin, mass, rtol, bounds, stop, options, events)
+        return _follow(begin, mass, rtol, bounds, stop, options, own)
     solver = fit_linear_solve(Rodas5P(), field, float(rtol), state=state)
     images, shift = as_symmetry(images, field, state, mass)
     forcing_periods = forcing_periods_of(field, period)
@@ -839,28 +500,29 @@ def continue_cycle(
         check_one_of("direction", direction, ("stick", "slip"))
         heading = np.zeros(u.size + 1)
         heading[shooting.z_index] = 1.0 if direction == "stick" else -1.0
-    return _follow(shooting, u, p, heading, bounds, stop, options, events)
+    return _follow(Start(shooting, u, p, heading), mass, rtol, bounds, stop, options, own)
 
 
-def _checked_events(events: Any) -> Mapping[str, Callable[[Any], Any]]:
+def _sign(direction: Any) -> int:
+    if isinstance(direction, str) or np.ndim(direction) or direction not in (1, -1):
+        raise ValueError(
+            f"Argument `direction` must be 1 or -1 for dry friction, but is {shown(direction)}: "
+            "it is the sign of the first change of the parameter."
+        )
+    return int(direction)
+
+
+def _checked_events(events: Any) -> list[Event]:
     events = {} if events is None else events
     check_kind("events", events, Mapping, "a dict of functions")
-    taken = ("fold", "branch point", "hopf", "torus", "period doubling", _BREAKING, *KINDS)
     for name, event in events.items():
         check_function(f"events[{name!r}]", event, "a cycle -> a number", 1)
-        if not isinstance(name, str) or name.removesuffix(" fold") in taken:
+        if not isinstance(name, str) or name.removesuffix(" fold") in _TAKEN:
             raise ValueError(
                 f"Argument `events` must have names of its own, but has {shown(name)}: these are "
-                f"kinds of special points, {', '.join(taken)}."
+                f"kinds of special points, {', '.join(_TAKEN)}."
             )
-    return events
-
-
-def _tests_of(events: Mapping[str, Callable[[Any], Any]]) -> dict[str, Test]:
-    return {
-        name: lambda u, p, tangent, extra, event=event: float(event(extra))
-        for name, event in events.items()
-    }
+    return [Event(name, function) for name, function in events.items()]
 
 
 def switch_cycle(
@@ -908,293 +570,202 @@ def switch_cycle(
     """
     check_kind("branch", branch, CycleBranch, "one of `continue_cycle`")
     check_kind("point", point, CyclePoint, "one of `branch.special`")
-    shooting, raw = point.shooting, point.raw
-    if point.kind == "symmetry breaking":
+    if point.symmetries:
         check_whole("symmetry", symmetry, 0, len(point.symmetries) - 1, _SUBGROUPS)
-        shooting, raw = with_less_symmetry(
-            cast(Shooting, shooting), point, point.symmetries[symmetry]
-        )
-    elif point.kind != "branch point":
-        raise ValueError(
-            'Argument `point` must be of kind "symmetry breaking" or "branch point", but is a '
-            f'"{point.kind}": no other branch of cycles of this period crosses there.'
-        )
+    orbit, raw = point.how.start_of_other(point, symmetry)
     tolerance = options.setdefault("tolerance", 1e-9)
     switched: Switched = switch_branch(
-        residual, raw, shooting, side=side, step=step, tolerance=tolerance,
-        weights=shooting.weights(raw.p), value_and_jacobian=linearise,
+        residual, raw, orbit, side=side, step=step, tolerance=tolerance,
+        weights=orbit.weights(raw.p), value_and_jacobian=linearise,
     )  # fmt: skip
     if switched.u is None or switched.p is None:
         raise RuntimeError(switched.reason)
     defaults = {"min_step": 1e-6, "max_step": 0.3, "max_points": 300, "keep_part": True}
     options = {"step": step, **defaults, **options}
-    start = switched.u, switched.p, cast(np.ndarray, switched.direction)
-    if isinstance(shooting, Phases):
-        return _follow_dry(Start(shooting, *start), branch.mass, RTOL, bounds, stop, options)
-    return _follow(shooting, *start, bounds, stop, options)
+    start = Start(orbit, switched.u, switched.p, switched.direction)
+    return _follow(start, branch.mass, RTOL, bounds, stop, options)
 
 
 def _follow(
-    shooting: Shooting,
-    u: np.ndarray,
-    p: float,
-    heading: Any,
-    bounds: tuple[Any, Any] | None,
-    stop: Callable[[float, Any], Any] | None,
-    options: dict[str, Any],
-    events: Mapping[str, Callable[[Any], Any]] = MappingProxyType({}),
-) -> CycleBranch:
-    less = len(set(shooting.images)) < shooting.n or shooting.shift is not None
-    motions = ring_motions(shooting.field, shooting.unpack(jnp.asarray(u), p)[1]) if less else []
-    weights = shooting.weights(p)
-    tests = special_tests(shooting, motions) | _tests_of(events)
-    first, forced = None, shooting.forcing_periods is not None
-
-    def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
-        nonlocal first
-        del u, tangent
-        begins, first = first is None, first or extra
-        if begins and extra.times_round > 1 and not forced:
-            return True
-        if shooting.is_family and extra.speed < _SMALL * first.speed:
-            return "the amplitude vanishes"
-        if not extra.sound:
-            return "it is no longer a cycle, by its speed, period or trivial multiplier"
-        if extra.speed <= 0 and not forced:
-            return "the amplitude vanishes"
-        state = tuple(map(jnp.asarray, extra.state))
-        greatest = np.max(np.abs(shooting.field.value_and_rate(0.0, state)[1]))
-        if extra.speed < 1e-2 * greatest and not forced:
-            return f"mass {shooting.mass} hardly vibrates: cut the orbit at another"
-        return stop is not None and stop(p, extra)
-
-    branch = continue_branch(
-        residual,
-        u,
-        p,
-        shooting,
-        direction=heading,
-        weights=weights,
-        tests=tests,
-        stop=ends,
-        bounds=(-np.inf, np.inf) if bounds is None else bounds,
-        value_and_jacobian=linearise,
-        **options,
-    )
-    extra, k = branch.extra, len(branch.p)
-    if extra is None or not extra.sound[0]:
-        raise NoBranchError(branch.message if extra is None else ENDINGS["no_start"])
-    # The given period is a multiple of the minimal one.
-    if extra.times_round[0] > 1 and not forced:
-        if branch.ended == "interrupted":
-            raise KeyboardInterrupt
-        times = extra.times_round[0]
-        once = branch.u[0] - np.append(np.zeros(u.size - 1), np.log(times))
-        p = float(branch.p[0]) / (times if shooting.is_family else 1)
-        return _follow(shooting, once, p, heading, bounds, stop, options, events)
-    refine = refined(shooting, weights, options["tolerance"], tests)
-    hopf = {point.index for point in branch.special if point.kind == "hopf"}
-    special = []
-    for raw in branch.special:
-        # At zero amplitude the branch continues smoothly in its mirror image, which is not a fold.
-        if raw.kind in ("fold", "branch point") and raw.index in hopf:
-            continue
-        of_multipliers = raw.kind in tests and raw.kind not in ("hopf", *events)
-        if of_multipliers and hardly_felt(branch, raw, tests[raw.kind]):
-            continue
-        point = refine(raw) if raw.refined or raw.kind == "hopf" else raw
-        if raw.kind != "torus" or on_the_circle(point.extra):
-            e = point.extra
-            state = tuple(map(np.asarray, e.state))
-            orbit = state, float(e.period), e.amplitude, e.multipliers
-            how = point.refined, float(point.error), point, shooting
-            kind, subgroups = point.kind, ()
-            if kind.startswith(_BREAKING):
-                kind, subgroups = _BREAKING, symmetries_of(e, shooting, motions)
-                if any(other.kind == kind and _same_point(other, point) for other in special):
-                    continue  # it was seen in other disturbances, too
-            peak = float(_scaled_peak_velocity(shooting, point.u[None])[0])
-            special.append(
-                CyclePoint(kind, point.p, *orbit, *how, peak, subgroups, events.get(kind))
-            )
-    # The last point may be its own mirror image, or no cycle.
-    if not ((forced or extra.speed[-1] > 0) and extra.sound[-1]):
-        k -= 1
-    if not k:
-        raise NoBranchError("The amplitude is 0 at the first point: start at a larger one.")
-    state, period, amplitude = cycles_at(branch.u[:k], branch.p[:k, None], shooting)
-    return CycleBranch(
-        name=str(shooting.parameter or ""),
-        parameter=branch.p[:k],
-        state=state,
-        period=period,
-        amplitude=amplitude,
-        scaled_peak_velocity=_scaled_peak_velocity(shooting, branch.u[:k]),
-        multipliers=extra.multipliers[:k],
-        trivial_defect=extra.trivial_defect[:k],
-        special=tuple(special),
-        pieces=((shooting, branch),),
-        mass=shooting.mass,
-    )
-
-
-def _sign(direction: Any) -> int:
-    if isinstance(direction, str) or np.ndim(direction) or direction not in (1, -1):
-        raise ValueError(
-            f"Argument `direction` must be 1 or -1 for dry friction, but is {shown(direction)}: "
-            "it is the sign of the first change of the parameter."
-        )
-    return int(direction)
-
-
-def _follow_dry(
     start: Start | None,
     mass: int,
     rtol: Any,
     bounds: tuple[Any, Any] | None,
     stop: Callable[[float, Any], Any] | None,
     options: dict[str, Any],
-    events: Mapping[str, Callable[[Any], Any]] = MappingProxyType({}),
+    events: Sequence[Event] = (),
 ) -> CycleBranch:
-    """A branch of dry cycles, piece by piece, see `cycles/sequences.py`."""
-    pieces: list[tuple[Phases, Branch]] = []
-    points: list[tuple[str, Phases, SpecialPoint]] = []
+    """A branch, with dry friction piece by piece, see `cycles/sequences.py`."""
+    pieces: list[tuple[AbstractOrbit, Branch]] = []
+    points: list[tuple[AbstractKind, AbstractOrbit, SpecialPoint]] = []
     room = np.inf if options["max_points"] is None else options["max_points"]
-    limits = (-np.inf, np.inf) if bounds is None else bounds
-    start_p = 0.0 if start is None else start.p
+    first_p = 0.0 if start is None else start.p
     while start is not None and room > 0:
         most = None if np.isinf(room) else int(room)
         try:
-            branch, met = _dry_piece(start, limits, stop, events, options | {"max_points": most})
-            before, orbit = sum(piece.p.size for _, piece in pieces), start.orbit
+            piece = _piece(start, bounds, stop, events, options | {"max_points": most})
+            if isinstance(piece, Start):
+                start = piece
+                continue
+            branch, found, met = piece
+            before, orbit, start = sum(one.p.size for _, one in pieces), start.orbit, None
             room -= branch.p.size
-            found = [
-                (s.kind, orbit, s)
-                for s in branch.special
-                if _is_special(s) and (met is None or abs(s.p - met.p) > _SAME * abs(met.p))
-            ]
-            start = None
-            if branch.ended == "interrupted":
-                met = None
-            if met is not None and met.kind == "hopf":
-                corrector = corrector_of(orbit, met.p, options["tolerance"])
-                rest = _at_rest(corrector, met, {}) or replace(met, refined=False, error=np.inf)
-                found.append(("hopf", orbit, rest))
+            met = None if branch.ended == "interrupted" else met
+            if met is not None and not met.how.goes_on:
                 branch = replace(branch, ended="stopped", reason="the amplitude vanishes")
-            elif met is not None and _belt_stops(orbit, met.p, start_p):
+                found.append((met.how, orbit, orbit.exact(met.how, met.raw, options["tolerance"])))
+            elif met is not None and _belt_stops(orbit, met.raw.p, first_p):
                 branch = replace(branch, ended="belt_speed = 0")
             elif met is not None:
-                change = change_at(orbit, met, options["tolerance"])
-                kind, start = change.kind, change.start
-                if start is None:
-                    reason = f"no sequence of phases was found beyond the {kind}"
+                passage = change_at(cast(Phases, orbit), met.raw, options["tolerance"])
+                found.append((passage.kind, passage.orbit, passage.raw))
+                if (start := passage.start) is None:
+                    reason = f"no sequence of phases was found beyond the {passage.kind.name}"
                     branch = replace(branch, ended="stopped", reason=reason)
-                elif (start.p - met.p) * (met.p - branch.p[-1]) < 0:
-                    kind = f"{kind} fold"
-                found.append((kind, change.orbit, change.raw))
-                if room <= 0:
+                elif room <= 0:
                     branch = replace(branch, ended="max_points", reason="")
             pieces.append((orbit, branch))
-            points += [(kind, of, replace(s, index=s.index + before)) for kind, of, s in found]
-        except KeyboardInterrupt:
-            if not (options["keep_part"] and pieces):
+            points += [(how, of, replace(s, index=s.index + before)) for how, of, s in found]
+        except (KeyboardInterrupt, NoBranchError) as error:
+            stopped = isinstance(error, KeyboardInterrupt)
+            if not pieces or (stopped and not options["keep_part"]):
                 raise
-            pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended="interrupted")
+            reason = "" if stopped else "no point of the next sequence of phases was found"
+            ended = "interrupted" if stopped else "stopped"
+            pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended=ended, reason=reason)
             break
-    return _dry_branch(pieces, points, mass, rtol, events)
+    return _joined(pieces, points, mass, rtol)
 
 
-def _belt_stops(orbit: Phases, speed: float, first: float) -> bool:
+def _belt_stops(orbit: AbstractOrbit, speed: float, first: float) -> bool:
     """Whether the belt stops there, without which no cycle is left."""
     driven = orbit.parameter == "belt_speed" and orbit.forcing_periods is None
     return driven and abs(speed) < _STOPPED * abs(first)
 
 
-def _dry_piece(
-    start: Start,
-    bounds: tuple[Any, Any],
-    stop: Callable[[float, Any], Any] | None,
-    events: Mapping[str, Callable[[Any], Any]],
-    options: dict[str, Any],
-) -> tuple[Branch, SpecialPoint | None]:
-    """(the branch of one sequence, the special point at which it ends, if it does)."""
-    tests = dry_tests(start.orbit)
+class _Met(NamedTuple):
+    """A special point at which a piece ends."""
 
-    def ends(u: np.ndarray, p: float, tangent: Any, extra: Any) -> Any:
-        if not extra.sound:
-            return "its phases are too long to be integrated accurately, or not finite"
-        if any(tests[name](u, p, tangent, extra) > 0 for name in ENDS if name in tests):
-            return "the sequence of phases changes"
-        return stop is not None and stop(p, extra)
+    how: AbstractKind
+    raw: SpecialPoint
+
+
+def _piece(
+    start: Start,
+    bounds: tuple[Any, Any] | None,
+    stop: Callable[[float, Any], Any] | None,
+    events: Sequence[Event],
+    options: dict[str, Any],
+) -> Start | tuple[Branch, list[tuple[AbstractKind, AbstractOrbit, SpecialPoint]], _Met | None]:
+    """(one piece, its special points, the one at which it ends); or a better start."""
+    orbit, first, once = start.orbit, None, None
+    tested = {kind.key: kind for kind in (*orbit.kinds(start.u, start.p), *events)}
+    kinds = tested | {kind.key: kind for kind in _ALWAYS}
+
+    def ends(u: np.ndarray, p: float, tangent: np.ndarray, extra: Any) -> Any:
+        nonlocal first, once
+        del tangent
+        if first is None:
+            first, once = extra, orbit.with_least_period(u, p, extra)
+        lost = "it goes round several times" if once else orbit.lost(first, extra)
+        return lost or (stop is not None and stop(p, extra))
 
     branch = continue_branch(
-        residual, start.u, start.p, start.orbit, direction=start.direction, bounds=bounds,
-        weights=start.orbit.weights(start.p), tests=tests | _tests_of(events), stop=ends,
-        value_and_jacobian=linearise, **options,
-    )  # fmt: skip
-    if not branch.p.size:
-        raise NoBranchError(branch.message)
-    met = min(
-        (s for s in branch.special if s.kind in ENDS), key=lambda s: s.arclength, default=None
+        residual,
+        start.u,
+        start.p,
+        orbit,
+        direction=start.direction,
+        bounds=(-np.inf, np.inf) if bounds is None else bounds,
+        weights=orbit.weights(start.p),
+        tests={key: kind.along(orbit) for key, kind in tested.items()},
+        stop=ends,
+        value_and_jacobian=linearise,
+        **options,
     )
-    if met is not None:
-        return branch.up_to(met.index, met.arclength), met
-    last = jax.tree.map(lambda leaf: leaf[-1], branch.extra)
-    if branch.p.size > 1 and not is_valid(start.orbit, last):
+    if branch.extra is None:
+        raise NoBranchError(branch.message)
+    if not branch.extra.sound[0]:
+        raise NoBranchError(ENDINGS["no_start"])
+    if once is not None:
+        if branch.ended == "interrupted":
+            raise KeyboardInterrupt
+        return once._replace(direction=start.direction)
+    ending = [raw for raw in branch.special if kinds[raw.kind].is_end]
+    last = min(ending, key=lambda raw: raw.arclength, default=None)
+    if last is not None:
+        branch = branch.up_to(last.index, last.arclength)
+    elif not orbit.is_valid(jax.tree.map(lambda leaf: leaf[-1], branch.extra)):
+        if branch.p.size == 1:
+            raise NoBranchError(
+                "The first point is no cycle of its own, as of amplitude 0: start at a larger one."
+            )
         branch = branch.up_to(branch.p.size - 2, branch.arclength[-1])
-    return branch, None
+    met = last and _Met(kinds[last.kind], last)
+    found: list[tuple[AbstractKind, AbstractOrbit, SpecialPoint]] = []
+    for raw in branch.special:
+        kind = kinds[raw.kind]
+        if met is not None and _is_part_of(met, raw, kind):
+            continue
+        if kind.of_multipliers and hardly_felt(branch, raw, tested[raw.kind], orbit):
+            continue
+        point = orbit.exact(kind, raw, options["tolerance"])
+        # A symmetry breaking is seen in other disturbances, too.
+        seen = (_same_point(other, point) for how, _, other in found if how.name == kind.name)
+        if kind.happens(point.extra) and not (kind.of_multipliers and any(seen)):
+            found.append((kind, orbit, point))
+    return branch, found, met
 
 
-def _is_special(point: SpecialPoint) -> bool:
-    """Whether it is one; see `encircling`."""
-    return point.kind != "torus" or on_the_circle(point.extra)
+def _is_part_of(met: _Met, raw: SpecialPoint, kind: AbstractKind) -> bool:
+    """Whether a special point is the end of a piece itself.
+
+    At zero amplitude the branch continues smoothly in its mirror image, which is no fold.
+    """
+    at_rest = not met.how.goes_on and raw.index == met.raw.index and kind in _ALWAYS
+    return at_rest or abs(raw.p - met.raw.p) <= _SAME * abs(met.raw.p)
 
 
-def _dry_branch(
-    pieces: list[tuple[Phases, Branch]],
-    points: list[tuple[str, Phases, SpecialPoint]],
+def _joined(
+    pieces: list[tuple[AbstractOrbit, Branch]],
+    points: list[tuple[AbstractKind, AbstractOrbit, SpecialPoint]],
     mass: int,
     rtol: Any,
-    events: Mapping[str, Callable[[Any], Any]],
 ) -> CycleBranch:
+    """The branch of all pieces, with its states, amplitudes and special points."""
     rows = [
         (orbit, u, p) for orbit, branch in pieces for u, p in zip(branch.u, branch.p, strict=True)
     ]
     k = len(rows)
-    rows += [(orbit, raw.u, raw.p) for _, orbit, raw in points]
-    state, period, amplitude, peak = dry_cycles(rows, mass, rtol)
+    orbit = pieces[0][0]
+    state, period, amplitude, peak = orbit.cycles(
+        rows, [(of, raw) for _, of, raw in points], mass, rtol
+    )
     special = tuple(
         CyclePoint(
-            kind, raw.p, tuple(part[i] for part in state), float(period[i]), amplitude[i],
-            raw.extra.multipliers, raw.refined, raw.error + float(raw.extra.error), raw, orbit,
-            float(peak[i]), event=events.get(kind),
+            how, raw.p, tuple(part[i] for part in state), float(period[i]), amplitude[i],
+            raw.extra.multipliers, raw.refined, float(raw.error), raw, of, float(peak[i]),
+            how.subgroups(of, raw.extra),
         )
-        for i, (kind, orbit, raw) in enumerate(points, k)
+        for i, (how, of, raw) in enumerate(points, k)
     )  # fmt: skip
+    extras = [branch.extra for _, branch in pieces]
     return CycleBranch(
-        name=str(pieces[0][0].parameter),
+        name=str(orbit.parameter or ""),
         parameter=np.concatenate([branch.p for _, branch in pieces]),
         state=tuple(part[:k] for part in state),
         period=period[:k],
         amplitude=amplitude[:k],
         scaled_peak_velocity=peak[:k],
-        multipliers=np.concatenate([branch.extra.multipliers for _, branch in pieces]),
-        trivial_defect=np.full(k, np.nan),
+        multipliers=np.concatenate([extra.multipliers for extra in extras]),
+        trivial_defect=np.concatenate([extra.trivial_defect for extra in extras]),
         special=special,
         pieces=tuple(pieces),
         mass=mass,
     )
 
 
-def _same_point(one: CyclePoint, other: SpecialPoint) -> bool:
-    apart = abs(one.parameter - other.p)
-    return apart <= max(one.error, other.error, 1e-8 * abs(other.p)) and (
-        abs(one.raw.index - other.index) <= 1
-    )
-
-
-def _scaled_peak_velocity(shooting: Shooting, u: np.ndarray) -> np.ndarray:
-    s = np.sinh(u[:, shooting.z_index])
-    field = shooting.field
-    switches = field.switching(0.0, jnp.zeros(shooting.n)) is not None
-    return s if switches else np.full_like(s, np.nan)
+def _same_point(one: SpecialPoint, other: SpecialPoint) -> bool:
+    apart = abs(one.p - other.p)
+    near = abs(one.index - other.index) <= 1
+    return near and apart <= max(one.error, other.error, 1e-8 * abs(other.p))

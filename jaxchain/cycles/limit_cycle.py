@@ -78,8 +78,9 @@ from .floquet import (
     multiplier_resolution,
     orbit_multipliers,
 )
+from .orbit import linearise, residual
 from .phases import PERIOD_STEPS, STEPS_PER_MASS, DryRun, slipping
-from .shooting import Shooting, greatest_gap, linearise, newton_minimal_period, residual
+from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .symmetry import CycleSymmetry, as_symmetry
 from .variational import Period, Returned, Returns
 

@@ -28,6 +28,7 @@ Recipes for Continuation, SIAM 2013, part IV, have such sequences).
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -40,6 +41,11 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
+from ..continuation.branch import SpecialPoint
+from ..kinds.changes import NAMES, Change
+from ..kinds.hopf import Hopf
+from ..kinds.kind import AbstractKind, Unknowns
+from ..kinds.multipliers import PeriodDoubling, Torus
 from ..observers.base import Step
 from ..observers.samples import Trajectory
 from ..observers.section import AbstractSection
@@ -49,14 +55,24 @@ from ..solvers.dormand_prince import step as step_of_order_8
 from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion, rates
 from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
-from .floquet import forcing_periods_of, multiplier_resolution
-from .shooting import SeenCycle, Shooting
+from .floquet import forcing_periods_of, multiplier_resolution, scaled_peak_velocity
+from .orbit import AbstractOrbit, SeenCycle, together
 from .variational import ExtremesAndTrace
 
 # In the order of `CycleProperties.margins`.
-KINDS = ("grazing", "release", "stick onset", "two events")
+KINDS = NAMES
+_TOGETHER = KINDS.index("two events")
+# What else may happen along a curve of special cycles, in the same order.
+OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
+# A margin of rounding.
+MET = 1e-9
 # Those at odd indices are touches, which may be those of a special cycle only.
 EVENTS = ("landing", "peak", "release", "turn")
+# Of the kinds that a mass only touches: the event, what else it has, and whether it sticks there.
+_TOUCHES = {
+    "grazing": ("peak", "no peak of its velocity while it slides", False),
+    "release": ("turn", "no turn of its force while it sticks", True),
+}
 # Samples of a period, from which the order of events is read.
 _SAMPLES = 4000
 # Steps of order 8 in a phase, and in a time of 2 pi; below 1e-12 for the chain of the paper.
@@ -71,15 +87,18 @@ PERIOD_STEPS, STEPS_PER_MASS = 4_000, 400
 class CycleProperties(NamedTuple):
     """Further results of a cycle.
 
-    - `state` at the start, `period`; `speed`: |v| there of the mass that is cut, of a slip cycle,
-      else infinite; `below`: how much slower than the belt it is.
+    - `state` at the start, `period`; `speed`: along the belt, of the mass that is cut, of a slip
+      cycle, else infinite; `below`: how much slower than the belt it is.
     - `sound`: finite and accurate, with positive durations.
     - `margins`: of the nearest further "grazing", "release", "stick onset", and the least duration
       with the sign -1, relative to the belt speed, the static limit or the period: a sequence
       whose margins are negative is that of the motion.
     - `rho`: -V_+ / V_- of a slip cycle that grazes, see `boundaries/grazing.py`; else NaN.
-    - `multipliers`: all but the trivial one, the greatest modulus first; `error`: the estimated
-      error of the integration; `amplitude`: half peak-to-peak of each displacement.
+    - `monodromy`: of the return to the last event, in the state and, if forced, its time;
+      `multipliers`: all but the trivial one, the greatest modulus first; `trivial_defect`: NaN,
+      because the equations of the return leave it out.
+    - `error`: the estimated error of the integration; `amplitude`: half peak-to-peak of each
+      displacement.
     """
 
     state: State
@@ -89,12 +108,14 @@ class CycleProperties(NamedTuple):
     sound: Bool[Array, ""]
     margins: Float[Array, " four"]
     rho: Float[Array, ""]
+    monodromy: Float[Array, "d d"]
     multipliers: Complex[Array, " others"]
+    trivial_defect: Float[Array, ""]
     error: Float[Array, ""]
     amplitude: Float[Array, " n"]
 
 
-class Phases(eqx.Module):
+class Phases(AbstractOrbit, eqx.Module):
     """The equations of a cycle: u = (y, t_0 if forced, tau_1 ... tau_K).
 
     All about the sequence are arrays, so that sequences of as many events share a program.
@@ -123,9 +144,8 @@ class Phases(eqx.Module):
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
     forcing_periods: int | None = eqx.field(static=True, default=None)
 
-    at = Shooting.at
     # A cycle keeps no symmetry by its equations; its phases are of order 8, to rounding.
-    shift, is_family = None, False
+    shift = None
     solver = EventDriven()
     rtol = 1e-13
 
@@ -264,7 +284,7 @@ class Phases(eqx.Module):
             k, kind, sign = jnp.asarray(self.special)
             event = jnp.where(kind == 0, EVENTS.index("landing"), EVENTS.index("release"))
             own = value(k, event, events[k, 1], sign)
-            gaps.append(jnp.where(kind == KINDS.index("two events"), durations[k], own)[None])
+            gaps.append(jnp.where(kind == _TOGETHER, durations[k], own)[None])
         margins = self._margins(values, highest, durations, limit)
         amplitude = (jnp.max(extents[:, 1], axis=0) - jnp.min(extents[:, 0], axis=0)) / 2
         return jnp.concatenate(gaps), (margins, jnp.sum(errors), amplitude)
@@ -328,18 +348,28 @@ class Phases(eqx.Module):
             right = right.at[1, j].set(1.0 / self._scale(u))
             along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
             rho = 1.0 - along / arriving
-        speed = jnp.abs(u[j]) if self.slips else jnp.inf * period
-        below = jnp.sign(field.belt_speed) * (field.belt_speed - u[j])
+        forward = jnp.sign(field.belt_speed)
+        speed = forward * u[j] if self.slips else jnp.inf * period
+        below = forward * (field.belt_speed - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
-        rest = self._multipliers(u, slopes), error, amplitude
+        matrix = self._monodromy(u, slopes)
+        rest = matrix, _multipliers(matrix), jnp.nan * period, error, amplitude
         properties = CycleProperties(state, period, speed, below, sound, margins, rho, *rest)
         return gaps, slopes, properties
 
-    def _multipliers(self, u: Array, slopes: Array) -> Complex[Array, " others"]:
-        """Those of the return to the last event, in the state and, if forced, its time.
+    def _end(self, u: Array, gaps: Array) -> Array:
+        """What returns, the state and, if forced, its time, at the end."""
+        d = self.m * self.n
+        end = self._scale(u) * gaps[:d] + u[:d]
+        if self.forcing_periods is None:
+            return end
+        return jnp.append(end, u[d] + jnp.sum(u[-len(self.events) :]))
 
-        dz_1 = A dz + B dtau with 0 = E dz + G dtau for the durations, so that the jumps of the
-        derivative at events are exact, and a mass that sticks has a multiplier 0.
+    def _monodromy(self, u: Array, slopes: Array) -> Float[Array, "d d"]:
+        """dz_1 = A dz + B dtau with 0 = E dz + G dtau for the durations tau.
+
+        So the jumps of the derivative at events are exact, and a mass that sticks has a multiplier
+        0.
         """
         m, k, d = u.size, len(self.events), self.m * self.n
         end = self._scale(u) * slopes[:d, :m] + jnp.eye(d, m)
@@ -347,12 +377,141 @@ class Phases(eqx.Module):
             end = jnp.concatenate([end, jnp.ones((1, m)).at[0, :d].set(0.0)])
         events = slopes[d : d + k, :m]
         back = jnp.linalg.solve(events[:, m - k :], events[:, : m - k])
-        matrix = end[:, : m - k] - end[:, m - k :] @ back
-        values = jnp.linalg.eigvals(matrix)
-        # What a stick erases is 0, and one more: no disturbance leaves the section.
-        least = jnp.maximum(multiplier_resolution(matrix), multiplier_resolution(jnp.eye(1)))
-        values = jnp.where(jnp.abs(values) < least, 0.0, values)
-        return values[jnp.argsort(-jnp.abs(values))[:-1]]
+        return end[:, : m - k] - end[:, m - k :] @ back
+
+    def image(self, z: Unknowns, one: Float[Array, " d"]) -> Float[Array, " d"]:
+        """See `AbstractOrbit`."""
+        k, d = len(self.events), self.m * self.n
+
+        def both(u: Array) -> tuple[Array, Array]:
+            gaps = self.residual(u, *z.parameters)
+            return self._end(u, gaps), gaps[d : d + k]
+
+        durations = z.u[-k:]
+        by_durations = jax.jacfwd(lambda tau: both(jnp.append(z.u[:-k], tau))[1])(durations)
+        _, along = jax.jvp(both, (z.u,), (jnp.append(one, jnp.zeros(k)),))[1]
+        back = jnp.linalg.solve(by_durations, along)
+        return jax.jvp(both, (z.u,), (jnp.append(one, -back),))[1][0]
+
+    def kinds(self, u: np.ndarray, p: float) -> list[AbstractKind]:
+        """See `AbstractOrbit`."""
+        kinds: list[AbstractKind] = [Change(name) for name in KINDS]
+        if self.slips and self.forcing_periods is None:
+            kinds.append(Hopf())
+        if self.m * self.n > 2 or self.forcing_periods is not None:
+            kinds += [PeriodDoubling(), Torus()]
+        return kinds
+
+    def distances(self, extra: CycleProperties) -> tuple[float, ...]:
+        """From each of `KINDS`; negative beyond."""
+        grazing, *others = (-float(margin) for margin in extra.margins)
+        return (min(grazing, float(extra.below)) if self.slips else grazing, *others)
+
+    def lost(self, first: CycleProperties, extra: CycleProperties) -> str:
+        """See `AbstractOrbit`."""
+        del first
+        if not extra.sound:
+            return "its phases are too long to be integrated accurately, or not finite"
+        rest = Hopf().test(self, extra) if self.forcing_periods is None else 0.0
+        beyond = min(*self.distances(extra), rest) < 0
+        return "the sequence of phases changes" if beyond else ""
+
+    def is_valid(self, extra: CycleProperties) -> bool:
+        """It meets no further event, and no duration is negative."""
+        return bool(min(self.distances(extra)) > 0 and extra.sound)
+
+    def with_least_period(self, u: np.ndarray, p: float, extra: Any) -> None:
+        """A cycle with dry friction is read from a run over its least period."""
+        del u, p, extra
+
+    def exact(self, kind: AbstractKind, raw: SpecialPoint, tolerance: float) -> SpecialPoint:
+        """The integration is so already."""
+        found: SpecialPoint | None = raw
+        if kind.is_end:
+            found = kind.locate(self, self.corrector(raw.p, tolerance), raw)
+        if found is None:
+            return replace(raw, refined=False, error=np.inf)
+        return replace(found, error=found.error + float(found.extra.error))
+
+    def cycles(
+        self,
+        rows: Sequence[tuple[Any, np.ndarray, float]],
+        special: Sequence[tuple[Any, SpecialPoint]],
+        mass: int,
+        rtol: Any,
+    ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
+        """See `AbstractOrbit`; where the belt releases the mass, or it is fastest."""
+        d, forced = self.m * self.n, self.forcing_periods is not None
+        columns = [
+            (u[:d], u[d] if forced else 0.0, np.sum(u[-len(of.events) :]), p)
+            for of, u, p in [*rows, *((of, raw.u, raw.p) for of, raw in special)]
+        ]
+        runs = DryRun(self.field, to_float(rtol), mass, self.forcing_periods)
+        return together(
+            lambda *some: _dry_cycles(runs, self.parameter, self.m, *some),
+            *(np.array(column) for column in zip(*columns, strict=True)),
+        )
+
+    def meets_more(self, extra: CycleProperties) -> Bool[Array, ""]:
+        """See `AbstractOrbit`."""
+        return jnp.max(extra.margins) > MET
+
+    @property
+    def special_kind(self) -> Change | None:
+        """See `AbstractOrbit`."""
+        return None if self.special is None else Change(KINDS[int(self.special[1])], self.slips)
+
+    curve_ends = ("degenerate grazing", "persistence", *OTHER_EVENTS)
+
+    def curve_tests(self, *, folds: bool) -> dict[str, Callable[..., float]]:
+        """See `AbstractOrbit`."""
+        own = self.slips and self.special is None and not folds
+        tests: dict[str, Any] = {
+            name: lambda u, p, tangent, extra, i=i: -float(extra.margins[i])
+            for i, name in enumerate(OTHER_EVENTS)
+        }
+        if own:
+            tests[OTHER_EVENTS[0]] = lambda u, p, tangent, extra: self.distances(extra)[0]
+        if self.slips and folds:
+            tests["degenerate grazing"] = lambda u, p, tangent, extra: float(extra.below)
+        elif self.slips and self.special is not None:
+            # A grazing is a fold for rho > 1; each test jumps where the other is zero.
+            def share(rho: Any, power: int) -> float:
+                x = float(rho) - 1.0
+                return 1.0 if power < 0 and abs(x) < MET else np.sin(np.arctan(x**power))
+
+            for name, power in ("degenerate grazing", 1), ("persistence", -1):
+                tests[name] = lambda u, p, tangent, extra, power=power: share(extra.rho, power)
+        return tests
+
+    def beyond(self, ended: str, u: np.ndarray) -> Phases | None:
+        """Another piece of folds of slip cycles, or another order of events."""
+        if ended == "degenerate grazing":
+            return self.touching(self.special is None)
+        if ended != "two events":
+            return None
+        durations = np.where(self.apart, u[-len(self.events) :], np.inf)
+        return self.swapped(int(np.argmin(durations)))
+
+
+@eqx.filter_jit
+def _dry_cycles(runs: DryRun, name: Any, m: int, y: Any, t0: Any, period: Any, p: Any) -> Any:
+    def one(y: Array, t0: Array, period: Array, p: Array) -> Any:
+        own = replace(runs, field=runs.field.with_(**{name: p}))
+        state, _, seen = own.from_the_cut(tuple(jnp.split(y, m)), period, t0)
+        low, high, fastest, _ = seen
+        peaks = scaled_peak_velocity(own.field, fastest)
+        return state, period, (high - low) / 2, peaks[runs.mass]
+
+    return jax.vmap(one)(y, t0, period, p)
+
+
+def _multipliers(matrix: Float[Array, "d d"]) -> Complex[Array, " others"]:
+    values = jnp.linalg.eigvals(matrix)
+    # What a stick erases is 0, and one more: no disturbance leaves the section.
+    least = jnp.maximum(multiplier_resolution(matrix), multiplier_resolution(jnp.eye(1)))
+    values = jnp.where(jnp.abs(values) < least, 0.0, values)
+    return values[jnp.argsort(-jnp.abs(values))[:-1]]
 
 
 def peak(v0: Array, v1: Array, slope0: Array, slope1: Array) -> Array:
@@ -523,7 +682,7 @@ def phases_of(
         special = _closest(
             kind or "grazing", mass, events, modes, w, r, np.asarray(chain.static_limit())
         )
-        if kind != "stick onset":
+        if kind is None or kind in _TOUCHES:
             events = sorted([*events, special])
         special = None if kind is None else special
     # The cycle begins after the event that the longest phase follows.
@@ -579,21 +738,17 @@ def _closest(
     limit = np.broadcast_to(limit, modes.shape[1])[mass]
     mode, force = modes[:, mass], r[:, mass]
     near = {"grazing": -mode * w[:, mass], "release": np.abs(force) / limit}
-    if kind == "stick onset":
+    if kind not in _TOUCHES:
         ks = np.array([e.k for e in events if e[1:3] == ("landing", mass)], int)
         found = ks[np.argsort(np.abs(np.abs(force[ks]) / limit - 1.0))]
         event, missing = "landing", "it never comes to the speed of the belt"
     else:
         before, after = np.roll(near[kind], 1), np.roll(near[kind], -1)
         same = (np.roll(mode, 1) == mode) & (np.roll(mode, -1) == mode)
-        same &= (mode == STICK) if kind == "release" else (mode != STICK)
+        event, missing, sticks = _TOUCHES[kind]
+        same &= (mode == STICK) == sticks
         ks = np.flatnonzero(same & (near[kind] >= before) & (near[kind] > after))
         found = ks[np.argsort(-near[kind][ks])]
-        event, missing = (
-            ("peak", "no peak of its velocity while it slides")
-            if kind == "grazing"
-            else ("turn", "no turn of its force while it sticks")
-        )
     if not found.size:
         raise ValueError(
             f'Argument `kind` = "{kind}" needs another cycle: mass {mass} of the given one has '

@@ -15,8 +15,9 @@ of a cycle which meets no further event a little later.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,13 +27,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..continuation.arclength import make_corrector
 from ..continuation.branch import SpecialPoint
-from ..continuation.corrector import Corrector
+from ..kinds.changes import Change
 from ..solvers.dormand_prince import step as step_of_order_8
 from ..solvers.dry_friction import STICK, free_force, motion
-from .phases import KINDS, Phases, phases_from, phases_of
-from .shooting import linearise, residual
+from .orbit import Start
+from .phases import Phases, phases_from, phases_of
 
 # Shares of a period: of a phase that is gone, and of one with which a new sequence begins.
 _GONE, _BEGIN = (1e-5, 1e-7), 1e-4
@@ -48,9 +48,10 @@ class _Part(NamedTuple):
     """A phase: the mode of each mass, its duration, the events at its end, whether it is new.
 
     By symmetry several masses may have the same event at the same time, all along a branch.
-    `special`: the kind of the special cycle to which the first event belongs, or "", and `sign` of
-    r there, which at a landing may have changed since the sequence was read; `onset`: the masses
-    that are at the onset of sticking as they land, on a special cycle.
+    `special`: the kind of the special cycle to which the first event belongs, or "", `meets`:
+    whether it is at the same time as the one before, and `sign` of r there, which at a landing may
+    have changed since the sequence was read; `onset`: the masses that are at the onset of sticking
+    as they land, on a special cycle.
     """
 
     mode: tuple[float, ...]
@@ -58,6 +59,7 @@ class _Part(NamedTuple):
     events: tuple[tuple[str, int, float], ...]
     new: bool = False
     special: str = ""
+    meets: bool = False
     sign: float = 0.0
     onset: frozenset[int] = frozenset()
 
@@ -67,23 +69,14 @@ class _Part(NamedTuple):
         return frozenset(i for _, i, _ in self.events)
 
 
-class Start(NamedTuple):
-    """Where a sequence begins: its equations, a solution (u, p), the direction (m + 1,)."""
-
-    orbit: Phases
-    u: Float[np.ndarray, " m"]
-    p: float
-    direction: Float[np.ndarray, " more"]
-
-
-class Change(NamedTuple):
-    """A change of the sequence.
+class Passage(NamedTuple):
+    """How a branch passes a change of the sequence.
 
     `kind`; `orbit`, `raw`: the equations of the cycle there, and their solution; `start`: the next
     sequence, None if none was found.
     """
 
-    kind: str
+    kind: Change
     orbit: Phases
     raw: SpecialPoint
     start: Start | None
@@ -156,11 +149,21 @@ def _parts_of(orbit: Phases, u: np.ndarray) -> list[_Part]:
 
 def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]:
     """(the equations, u, which durations are new) of a sequence."""
-    modes, events, durations, apart, new, onsets, special = [], [], [], [], [], [], None
+    modes, events, durations, apart, new, onsets, special, together = (
+        [],
+        [],
+        [],
+        [],
+        [],
+        [],
+        None,
+        None,
+    )
     for j, part in enumerate(of.parts):
         mode, after = list(part.mode), of.parts[(j + 1) % len(of.parts)].mode
         if part.special:
             special = len(events), part.special, part.sign
+            together = len(events) if part.meets else None
         for first, event in enumerate(part.events):
             modes.append(tuple(mode))
             mode[event[1]] = after[event[1]]
@@ -172,8 +175,8 @@ def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]
             durations.append(0.0 if first else part.duration)
             apart.append(not first)
             new.append(part.new and not first)
-    if special and special[1] == "two events":
-        apart[special[0]] = False
+    if together is not None:
+        apart[together] = False
     how = {name: getattr(orbit, name) for name in ("steps", "parameter", "forcing_periods")}
     whole = phases_from(
         orbit.field, modes, events, special, orbit.m, apart, onsets, of.alike, **how
@@ -204,49 +207,27 @@ def sequence_of(
         else:
             v = u
         upright = np.append(np.zeros_like(v), 1.0)
-        found = corrector_of(orbit, p, tolerance)(np.append(v, p), upright)
-        if found is not None and is_valid(orbit, found.extra):
+        found = orbit.corrector(p, tolerance)(np.append(v, p), upright)
+        if found is not None and orbit.is_valid(found.extra):
             return Start(orbit, found.u, p, upright)
     return None
 
 
-def is_valid(orbit: Phases, seen: Any) -> bool:
-    """Whether a solution is a motion: it meets no further event, and no duration is negative."""
-    return bool(np.max(seen.margins) < 0 and (not orbit.slips or seen.below > 0) and seen.sound)
-
-
-def tests_of(orbit: Phases) -> dict[str, Callable[..., float]]:
-    """The tests of `continue_branch`, which are positive beyond a change."""
-    of: dict[str, Callable[..., float]] = {
-        name: lambda u, p, tangent, extra, i=i: float(extra.margins[i])
-        for i, name in enumerate(KINDS)
-    }
-    if orbit.slips:
-        of["grazing"] = lambda u, p, tangent, extra: max(
-            float(extra.margins[0]), -float(extra.below)
-        )
-        if orbit.forcing_periods is None:
-            j, sign = orbit.field.contact * orbit.n + orbit.mass, orbit.modes[0][orbit.mass]
-            of["hopf"] = lambda u, p, tangent, extra: vanishing(float(sign * u[j]))
-    return of
-
-
-def vanishing(speed: float) -> float:
-    """A speed; the equations are divided by it, and nearer to zero they are noise."""
-    return 0.0 if abs(speed) < 1e-4 else speed
-
-
-def change_at(orbit: Phases, raw: SpecialPoint, tolerance: float) -> Change:
-    """What happens at a special point of the kinds of `KINDS`, and how the branch goes on."""
-    u, kind = np.asarray(raw.u), raw.kind
+def change_at(orbit: Phases, raw: SpecialPoint, tolerance: float) -> Passage:
+    """What happens where a sequence changes, and how the branch goes on."""
+    kind, start = raw.kind, None
     special: tuple[Phases, np.ndarray] | None = None
-    for kind, exact, beyond in _sequences(orbit, u, raw):
+    for label, exact, beyond in _sequences(orbit, np.asarray(raw.u), raw):
+        kind = label
         if special is None and exact is not None:
             special = _made(orbit, exact)[:2]
         start = _begun(*_made(orbit, beyond), raw.p, tolerance)
         if start is not None:
-            return Change(kind, *_exactly(orbit, raw, special), start)
-    return Change(kind, *_exactly(orbit, raw, special), None)
+            break
+    there, found = _exactly(orbit, raw, special)
+    turns = start is not None and bool((start.p - raw.p) * raw.tangent[-1] < 0)
+    found = replace(found, error=found.error + float(found.extra.error))
+    return Passage(Change(kind, turns), there, found, start)
 
 
 def _exactly(
@@ -289,10 +270,13 @@ def _sequences(
             before = gone
             if found is not None:
                 yield found
-    if raw.kind in ("grazing", "release"):
-        yield from _with_touches(orbit, parts, lasting, raw.kind)
-    elif raw.kind == "stick onset":
-        yield from _with_onsets(orbit, parts, lasting)
+    comes = {
+        "grazing": partial(_with_touches, sticks=False),
+        "release": partial(_with_touches, sticks=True),
+        "stick onset": _with_onsets,
+    }
+    if raw.kind in comes:
+        yield from comes[raw.kind](orbit, parts, lasting)
 
 
 def _without(
@@ -302,7 +286,7 @@ def _without(
 
     At the special cycle a mass touches where its phase is gone.
     """
-    k, kind, swapped = len(parts), "", []
+    k, kind, swapped, first = len(parts), "", [], gone[0]
     removed: set[tuple[int, int]] = set()  # (part, mass) of an event
     touch: tuple[int, tuple[str, int, float], float] | None = None
     for j in gone:
@@ -314,10 +298,9 @@ def _without(
         for event, i, sign in before.events:
             at = (j - 1) % k
             if before.mode[i] == after.mode[i]:
-                own = "release" if event == "release" else "grazing"
                 removed |= {(at, i), (j, i)}
-                way = 0.0 if own == "grazing" else sign
-                event = "turn" if own == "release" else "peak"
+                slid = event == "release"
+                own, way, event = ("release", sign, "turn") if slid else ("grazing", 0.0, "peak")
             else:  # from one side to the other; the force may have changed its sign on the way
                 own = "stick onset"
                 removed |= {(j, i)}
@@ -325,8 +308,10 @@ def _without(
             kind, touch = kind or own, touch or (at, (event, i, sign), way)
     alike = tuple(sorted({i for _, i in removed}))
     exact = None
-    if kind == "two events":
-        special = [p._replace(special=kind) if j == swapped[0] else p for j, p in enumerate(parts)]
+    if swapped and swapped[0] == first:
+        special = [
+            p._replace(special=kind, meets=True) if j == first else p for j, p in enumerate(parts)
+        ]
         exact = _Sequence(special, ends[-1])
     elif touch is not None:
         at_onset = [
@@ -418,12 +403,12 @@ class _Touch(NamedTuple):
     sample: int
 
 
-def _touches(orbit: Phases, parts: list[_Part], at: _Along, kind: str) -> list[_Touch]:
+def _touches(orbit: Phases, parts: list[_Part], at: _Along, sticks: bool) -> list[_Touch]:
     found = []
     for k, part in enumerate(parts):
         for i in range(orbit.n):
             near = at.near[k, :, i]
-            if (part.mode[i] == STICK) != (kind == "release"):
+            if (part.mode[i] == STICK) != sticks:
                 continue
             inner = near[1:-1]
             tops = np.flatnonzero((inner >= near[:-2]) & (inner >= near[2:]) & (inner > -1e-3)) + 1
@@ -439,10 +424,10 @@ def _touches(orbit: Phases, parts: list[_Part], at: _Along, kind: str) -> list[_
 
 
 def _with_touches(
-    orbit: Phases, parts: list[_Part], at: _Along, kind: str
+    orbit: Phases, parts: list[_Part], at: _Along, *, sticks: bool
 ) -> Iterator[tuple[str, _Sequence, _Sequence]]:
     """With a short stick, or slip, of each mass that just touches."""
-    touches = _touches(orbit, parts, at, kind)
+    touches = _touches(orbit, parts, at, sticks)
     if not touches:
         return
     # A slip cycle begins at the first touch, any other where it did.
@@ -456,15 +441,15 @@ def _with_touches(
         while q < len(own):
             together = [t for t in own[q:] if t.share - own[q].share < _SAME_TIME]
             share = own[q].share - offset
-            new += _pair(part, together, (share - last) * part.duration, kind)
+            new += _pair(part, together, (share - last) * part.duration, sticks)
             last, q = share, q + len(together)
         if not orbit.slips:
             new.append(part._replace(duration=(1.0 - last) * part.duration))
     top = max(touches, key=lambda touch: touch.near)
-    event = "peak" if kind == "grazing" else "turn"
+    event, kind = ("turn", "release") if sticks else ("peak", "grazing")
     exact, part = [*parts], parts[top.part]
     cut = _Part(part.mode, part.duration, ((event, top.mass, top.sign),), special=kind)
-    if kind == "release":
+    if sticks:
         cut = cut._replace(sign=top.sign)
     if orbit.slips:
         exact, first = [cut], at.states[top.part, top.sample]
@@ -476,11 +461,10 @@ def _with_touches(
     yield kind, _Sequence(exact, first, alike), _Sequence(new, start)
 
 
-def _pair(part: _Part, touches: list[_Touch], duration: float, kind: str) -> list[_Part]:
+def _pair(part: _Part, touches: list[_Touch], duration: float, sticks: bool) -> list[_Part]:
     """A phase up to a touch, and what it becomes."""
-    stick = kind == "grazing"
-    first, second = ("landing", "release") if stick else ("release", "landing")
-    mode = _with_mode(part.mode, {t.mass: STICK if stick else t.sign for t in touches})
+    first, second = ("release", "landing") if sticks else ("landing", "release")
+    mode = _with_mode(part.mode, {t.mass: t.sign if sticks else STICK for t in touches})
     return [
         _Part(part.mode, duration, tuple((first, t.mass, t.sign) for t in touches)),
         _Part(mode, 0.0, tuple((second, t.mass, t.sign) for t in touches), True),
@@ -520,17 +504,11 @@ def _with_onsets(
         yield "stick onset", _Sequence(exact, start, tuple(sorted(alike))), _Sequence(new, start)
 
 
-def corrector_of(orbit: Phases, p: float, tolerance: float) -> Corrector:
-    """The corrector of `continue_branch`."""
-    weights = orbit.weights(p)
-    return make_corrector(residual, linearise, orbit, orbit.size, weights, tolerance)
-
-
 def _begun(
     orbit: Phases, u: np.ndarray, new: np.ndarray, p: float, tolerance: float
 ) -> Start | None:
     """A little later in the direction in which no further event is met, or None."""
-    z, k, solve = np.append(u, p), len(orbit.events), corrector_of(orbit, p, tolerance)
+    z, k, solve = np.append(u, p), len(orbit.events), orbit.corrector(p, tolerance)
     if np.any(new):
         step = np.zeros(z.size)
         step[-1 - k : -1] = new * _BEGIN * float(np.sum(u[-k:]))
@@ -543,7 +521,7 @@ def _begun(
         steps = [length * here.tangent, -length * here.tangent]
     for step in steps:
         end = solve(z + step, step)
-        if end is not None and is_valid(orbit, end.extra):
+        if end is not None and orbit.is_valid(end.extra):
             return Start(orbit, end.u, end.p, end.tangent)
     return None
 

@@ -29,7 +29,8 @@ variables are the only unknowns, and their return gives the only equations.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -41,13 +42,32 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 
 from .._checks import to_float
 from .._types import State
+from ..continuation.branch import SpecialPoint
 from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
+from ..kinds.hopf import Hopf
+from ..kinds.kind import AbstractKind, Unknowns
+from ..kinds.multipliers import PeriodDoubling, SymmetryBreaking, Torus
 from ..model.model import AbstractModel
 from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .floquet import is_trusted, orbit_multipliers
+from .orbit import AbstractOrbit, SeenCycle, Start
+from .symmetry import (
+    CycleSymmetry,
+    Symmetry,
+    breaking_block,
+    breaking_disturbance,
+    finer,
+    ring_motions,
+    subgroups,
+)
 from .variational import Period, Shift, flow, linearised_period
+
+# Tolerances of the integration and of Newton's method at special points.
+RTOL, _TOLERANCE = 3e-11, 1e-9
+# The least amplitude of a family of cycles, over its first one.
+SMALL = 1e-3
 
 # The greatest gap of the greatest velocity, over itself, of a family of cycles.
 _RETURNS = 1e-6
@@ -79,15 +99,7 @@ class CycleLinearisation(eqx.Module):
     sound: Bool[Array, ""]
 
 
-class SeenCycle(NamedTuple):
-    """What a user's own event may depend on, to be followed in two parameters."""
-
-    state: State
-    period: Float[Array, ""]
-    amplitude: Float[Array, " n"]
-
-
-class Shooting(eqx.Module):
+class Shooting(AbstractOrbit, eqx.Module):
     """The equations of a periodic orbit of `field`, cut at the greatest velocity of one mass.
 
     **Arguments:**
@@ -154,20 +166,6 @@ class Shooting(eqx.Module):
     def size(self) -> int:
         """The number of unknowns."""
         return self._starts[-1] + (self.forcing_periods is None)
-
-    @property
-    def is_family(self) -> bool:
-        """Whether its orbit is one of a family over its period, as without damping."""
-        return self.parameter == "period" and not self.field.has_parameter("period")
-
-    def at(self, *parameter: Any) -> AbstractModel:
-        """The field with the parameter, or several, set."""
-        if self.parameter is None or self.is_family:
-            return self.field
-        if self.parameter == "belt_speed":  # the usual one, without the checks of a new chain
-            return eqx.tree_at(lambda f: f.belt_speed, self.field, *parameter)
-        names = [self.parameter] if isinstance(self.parameter, str) else self.parameter
-        return self.field.with_(**dict(zip(names, parameter, strict=True)))
 
     def pack(self, state: State, period: Any, *parameter: Any) -> Float[Array, " m"]:
         """u of a state on the section (without x_j if it is explicit)."""
@@ -313,6 +311,172 @@ class Shooting(eqx.Module):
         end, _, _ = flow(field, state, period / self.parts, rtol=self.rtol, solver=self.solver)
         return end if self.shift is None else tuple(p[np.asarray(self.shift[0])] for p in end)
 
+    def image(self, z: Unknowns, one: Float[Array, " d"]) -> Float[Array, " d"]:
+        """See `AbstractOrbit`."""
+        return replace(self, shift=None)._end_of(z, one)
+
+    def _end_of(self, z: Unknowns, one: Float[Array, " d"]) -> Float[Array, " d"]:
+        field, state, period = self.unpack(z.u, *z.parameters)
+
+        def end(y: Array) -> Array:
+            return jnp.concatenate(self.end(field, tuple(jnp.split(y, self.m)), period))
+
+        return jax.jvp(end, (jnp.concatenate(state),), (one,))[1]
+
+    def breaking_block(self, part: Any, kept: Symmetry) -> tuple[Any, Any, float]:
+        """See `symmetry.breaking_block`."""
+        return breaking_block(part, (self.images, self.shift), kept, self.m)
+
+    def breaking_image(
+        self, z: Unknowns, one: Float[Array, " d"], kept: Symmetry
+    ) -> Float[Array, " d"]:
+        """The matrix of this block times a disturbance, with derivatives."""
+        lost = kept[0] == self.images  # only shifts are
+        return (self if lost else replace(self, shift=kept[1]))._end_of(z, one)
+
+    def _motions(self, state: State) -> list[np.ndarray]:
+        """The symmetries of the equations, if the orbit keeps one."""
+        less = len(self.solved) < self.n or self.shift is not None
+        return ring_motions(self.field, state) if less else []
+
+    def subgroups(self, extra: CycleLinearisation) -> tuple[CycleSymmetry, ...]:
+        """The symmetries of the branches that leave at a symmetry breaking."""
+        symmetry = self.images, self.shift
+        state = tuple(map(jnp.asarray, extra.state))
+        return subgroups(extra.part, symmetry, self._motions(state), self.m)
+
+    def with_less_symmetry(
+        self, point: Any, symmetry: CycleSymmetry
+    ) -> tuple[Shooting, SpecialPoint]:
+        """The equations with `symmetry` only, and the point with the direction that keeps it."""
+        m, p, mass, kept = self.m, point.parameter, self.mass, (symmetry.images, symmetry.shift)
+        own = symmetry.images[mass]  # the section is at the representative of its class
+        images = tuple(mass if image == own else image for image in symmetry.images)
+        full = replace(self, images=images, shift=symmetry.shift)
+        given = self.images, self.shift
+        _, null = breaking_disturbance(point.raw.extra.part, given, kept, m)
+
+        def packed(z: Any) -> Any:
+            _, state, period = self.unpack(z[:-1], z[-1])
+            return jnp.append(full.pack(state, period, z[-1]), z[-1])
+
+        if self.forcing_periods is None:  # along the motion to the section
+            field, start = full.at(p), tuple(map(jnp.asarray, point.state))
+            pushes = tuple(jnp.asarray(part) for part in null.reshape(m, self.n))
+
+            def turn(change: State) -> Array:
+                def rate(y: State) -> Array:
+                    return field.second_rate(0.0, y)[mass]
+
+                return jax.jvp(rate, (start,), (change,))[1]
+
+            flow = field(0.0, start)
+            null = null - float(turn(pushes) / turn(flow)) * np.concatenate(flow)
+
+        def disturbed(share: Any) -> Any:
+            pushes = null.reshape(m, self.n)
+            state = tuple(a + share * b for a, b in zip(point.state, pushes, strict=True))
+            return jnp.append(full.pack(state, point.period, p), p)
+
+        z = jnp.append(point.raw.u, p)
+        u, tangent = jax.jvp(packed, (z,), (jnp.asarray(point.raw.tangent),))
+        _, other = jax.jvp(disturbed, (jnp.zeros(()),), (jnp.ones(()),))
+        return full, replace(
+            point.raw, u=np.asarray(u)[:-1], tangent=np.asarray(tangent), other=np.asarray(other)
+        )
+
+    def kinds(self, u: np.ndarray, p: float) -> list[AbstractKind]:
+        """See `AbstractOrbit`."""
+        autonomous = self.forcing_periods is None
+        kinds: list[AbstractKind] = [Hopf()] if autonomous and not self.is_family else []
+        # One multiplier besides the trivial one is never negative.
+        if self.m * self.n > 2 or not autonomous:
+            kinds += [PeriodDoubling(), Torus()]
+        motions = self._motions(self.unpack(jnp.asarray(u), p)[1])
+        less = finer(motions, self.images, self.shift) if motions else []
+        return kinds + [SymmetryBreaking(kept) for kept in less]
+
+    def lost(self, first: CycleLinearisation, extra: CycleLinearisation) -> str:
+        """See `AbstractOrbit`."""
+        if self.is_family and extra.speed < SMALL * first.speed:
+            return "the amplitude vanishes"
+        if not extra.sound:
+            return "it is no longer a cycle, by its speed, period or trivial multiplier"
+        if self.forcing_periods is not None:
+            return ""
+        if extra.speed <= 0:
+            return "the amplitude vanishes"
+        state = tuple(map(jnp.asarray, extra.state))
+        greatest = np.max(np.abs(self.field.value_and_rate(0.0, state)[1]))
+        little = extra.speed < 1e-2 * greatest
+        return f"mass {self.mass} hardly vibrates: cut the orbit at another" if little else ""
+
+    def is_valid(self, extra: CycleLinearisation) -> bool:
+        """See `AbstractOrbit`; the last point may be its own mirror image."""
+        moves = self.forcing_periods is not None or extra.speed > 0
+        return bool(moves and extra.sound)
+
+    def with_least_period(self, u: np.ndarray, p: float, extra: Any) -> Start | None:
+        """See `AbstractOrbit`."""
+        times = extra.times_round
+        if times == 1 or self.forcing_periods is not None:
+            return None
+        once = u - np.append(np.zeros(self.size - 1), np.log(times))
+        return Start(self, once, p / (times if self.is_family else 1), None)
+
+    def exact(self, kind: AbstractKind, raw: SpecialPoint, tolerance: float) -> SpecialPoint:
+        """From tightly integrated equations; it does not depend on the tolerance of the branch.
+
+        Its error is the change for a tolerance ten times as great, plus the remaining error of the
+        search.
+        """
+        if not (raw.refined or kind.is_end):
+            return raw
+        rtol = min(float(self.rtol), RTOL)
+        tight, loose = (
+            kind.locate(self, orbit.corrector(raw.p, min(tolerance, _TOLERANCE)), raw)
+            for orbit in (replace(self, rtol=share * rtol) for share in (1.0, 10.0))
+        )
+        if tight is None:
+            return replace(raw, refined=False, error=np.inf)
+        integration = np.inf if loose is None else abs(tight.p - loose.p)
+        error = tight.error + integration
+        return replace(tight, refined=tight.refined and bool(np.isfinite(error)), error=error)
+
+    def cycles(
+        self,
+        rows: Sequence[tuple[Any, np.ndarray, float]],
+        special: Sequence[tuple[Any, SpecialPoint]],
+        mass: int,
+        rtol: Any,
+    ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
+        """See `AbstractOrbit`; special points are integrated more tightly than others."""
+        del mass, rtol
+        u, p = np.stack([u for _, u, _ in rows]), np.array([[p] for _, _, p in rows])
+        seen = self.seen_at(u, p)
+        seen += [SeenCycle(e.state, e.period, e.amplitude) for e in (s.extra for _, s in special)]
+        state, period, amplitude = jax.tree.map(lambda *leaves: np.stack(leaves), *seen)
+        every = np.concatenate([u, *(raw.u[None] for _, raw in special)])
+        peaks = np.sinh(every[:, self.z_index])
+        switches = self.field.switching(0.0, jnp.zeros(self.n)) is not None
+        return state, period, amplitude, peaks if switches else np.full_like(peaks, np.nan)
+
+    special_kind, curve_ends = None, ()
+
+    def meets_more(self, extra: CycleLinearisation) -> bool:
+        """See `AbstractOrbit`."""
+        del extra
+        return False
+
+    def curve_tests(self, *, folds: bool) -> dict[str, Callable[..., float]]:
+        """See `AbstractOrbit`."""
+        del folds
+        return {}
+
+    def beyond(self, ended: str, u: np.ndarray) -> None:
+        """See `AbstractOrbit`."""
+        del ended, u
+
     def closing(self, u: Float[Array, " m"]) -> tuple[Float[Array, " m"], Float[Array, " n"]]:
         """(the residual after the whole period, the amplitudes)."""
         end, _, (amplitude,) = flow(
@@ -352,16 +516,6 @@ class Shooting(eqx.Module):
         """The index in `gap` of that of the greatest velocity."""
         contact = min(self.field.contact, self.m - 1)
         return contact * len(self.solved) + self.solved.index(self.mass)
-
-
-def residual(u: Float[Array, " m"], parameter: Any, orbit: Any) -> Float[Array, " m"]:
-    """The equations of a cycle as a plain function, which is the same object in every call."""
-    return orbit.residual(u, parameter)
-
-
-def linearise(u: Float[Array, " m"], parameter: Any, orbit: Any) -> tuple[Array, Array, Any]:
-    """(R, [R_u R_p], further results) of the equations of a cycle, in the same way."""
-    return orbit.cycle(u, parameter)
 
 
 def _layer(field: AbstractModel, v: Array) -> tuple[Any, Any]:

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from .._checks import check_concrete, check_positive_number, is_traced, shown
 from .._final import final
@@ -40,6 +41,8 @@ from .variational import Shift, powers
 _PHASE = 0.37
 # Two entries of a disturbance of length 1 that are the same.
 _SAME = 1e-5
+# How close to +1 multipliers of one special point are.
+_UNIT = 1e-5
 
 
 def ring_motions(field: AbstractModel, state: State) -> list[np.ndarray]:
@@ -310,3 +313,58 @@ def isotropy(
     moved = {g: action(part, shift, g, int(share * k), m) @ w for g, share in group.items()}
     same = {g: group[g] for g, image in moved.items() if np.max(np.abs(image - w)) < _SAME}
     return _described(same), any(np.max(np.abs(image + w)) < _SAME for image in moved.values())
+
+
+def symmetry_breaking_basis(
+    images: tuple[int, ...], m: int = 2, kept: tuple[int, ...] | None = None
+) -> Float[np.ndarray, "two_n k"]:
+    """An orthonormal basis of the disturbances of a state that break the symmetry of `images`.
+
+    Those only that keep the symmetry of `kept`, by default none; all of these if it is the same.
+    """
+    groups = np.asarray(images)[:, None] == np.unique(images)[None, :]
+    less = np.asarray(range(len(images)) if kept is None else kept)
+    within = (less[:, None] == np.unique(less)[None, :]).astype(float)
+    within /= np.sqrt(np.sum(within, axis=0))
+    rest = np.linalg.svd(within.T @ groups)[0][:, groups.shape[1] :]
+    return np.kron(np.eye(m), within if kept == images else within @ rest)
+
+
+def breaking_block(
+    part: Any, symmetry: Symmetry, kept: Symmetry, m: int
+) -> tuple[Any, Any, float]:
+    """(basis A, block, at): all but `kept` breaks where the block has the eigenvalue `at`.
+
+    The block is A^T Q A, with Q after the shift of `kept`, from `part`, after that of `symmetry`.
+    If only shifts are lost, it is Q itself in disturbances that keep `images`, and `at` = -1.
+    """
+    images, shift = symmetry
+    basis = symmetry_breaking_basis(images, m, kept[0])
+    if kept[0] == images:
+        return basis, basis.T @ part @ basis, -1.0
+    at, share = kept[1] or (range(len(images)), 1)
+    whole = 1 if shift is None else shift[1]
+    return basis, basis.T @ action(part, shift, at, whole // share, m) @ basis, 1.0
+
+
+def breaking_disturbance(
+    part: Any, symmetry: Symmetry, kept: Symmetry, m: int
+) -> tuple[int, Float[np.ndarray, " two_n"]]:
+    """(how many multipliers are +1, a disturbance of the last of them)."""
+    basis, block, at = breaking_block(np.asarray(part), symmetry, kept, m)
+    null = basis @ np.linalg.svd(block - at * np.eye(len(block)))[2][-1]
+    return int(np.sum(np.abs(np.linalg.eigvals(block) - at) < _UNIT)), null
+
+
+def subgroups(
+    part: Any, symmetry: Symmetry, motions: list[np.ndarray], m: int
+) -> tuple[CycleSymmetry, ...]:
+    """The subgroups along which branches leave a symmetry breaking."""
+    (images, shift), found = symmetry, []
+    for kept in finer(motions, images, shift):
+        count, null = breaking_disturbance(part, symmetry, kept, m)
+        less, mirrored = isotropy(motions, images, null.reshape(m, -1), shift, np.asarray(part))
+        if count == 1 and elements(motions, *less) == elements(motions, *kept):
+            label = label_of(motions, *kept)
+            found.append(CycleSymmetry(label, kept[0], mirrored, kept[1]))
+    return tuple(found)

@@ -37,7 +37,8 @@ from jaxchain.boundaries import (
     hopf_points,
     special_curves,
 )
-from jaxchain.boundaries.special_curves import _CycleEquations
+from jaxchain.kinds.fold import Fold
+from jaxchain.kinds.multipliers import PeriodDoubling
 from jaxchain.model import (
     AbstractCells,
     Duffing,
@@ -248,8 +249,8 @@ def test_modes_that_cross_together_have_no_lyapunov_coefficient():
 
 
 def test_another_multiplier_at_the_same_place_changes_the_sign():
-    for kind, name, at in (("fold", "1:1", 1.0), ("period doubling", "1:2", -1.0)):
-        test = _CycleEquations(cycle_branch(1).shooting, kind).tests()[name]
+    for kind, name, at in ((Fold(), "1:1", 1.0), (PeriodDoubling(), "1:2", -1.0)):
+        test = kind.curve_tests(cycle_branch(1).orbit)[name]
         one, other = (
             test(None, 0.0, None, SimpleNamespace(multipliers=np.array([at, at + d, 0.3])))
             for d in (0.01, -0.01)
@@ -407,7 +408,7 @@ def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
 
     assert [sticks(point.value + d) for d in (-1e-4, 1e-4)] == [1, 2]
     # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.
-    phases: Any = point.shooting
+    phases: Any = point.orbit
     assert [event for event, _, _ in phases.sequence] == ["landing", "turn", "release"]
     x, v, t, *lengths, force = map(float, point.unknowns)
 

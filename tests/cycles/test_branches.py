@@ -10,18 +10,12 @@ from scipy.integrate import solve_ivp
 
 from jaxchain import paper_chain
 from jaxchain.boundaries.fold import find_fold
-from jaxchain.cycles import branches
-from jaxchain.cycles.branches import (
-    breaking,
-    continue_cycle,
-    doubling,
-    encircling,
-    on_the_circle,
-    refined,
-    switch_cycle,
-    symmetry_breaking_basis,
-)
-from jaxchain.cycles.shooting import CycleLinearisation, Shooting, linearise, residual
+from jaxchain.cycles.branches import continue_cycle, switch_cycle
+from jaxchain.cycles.orbit import linearise, residual
+from jaxchain.cycles.shooting import CycleLinearisation, Shooting
+from jaxchain.cycles.symmetry import symmetry_breaking_basis
+from jaxchain.kinds.fold import Fold
+from jaxchain.kinds.multipliers import PeriodDoubling, SymmetryBreaking, Torus
 from jaxchain.solvers.rosenbrock import Rodas5P
 
 # Second looks, or minutes of compilation: not in every run of the tests.
@@ -78,8 +72,8 @@ def test_a_point_without_a_known_error_is_not_refined(branch, monkeypatch):
     """The search at the looser tolerance, whose difference is the error, finds nothing."""
     fold = branch.of_kind("fold")[0].raw
     found = iter([fold, None])
-    monkeypatch.setattr(branches, "_located", lambda *_: next(found))
-    again = refined(branch.shooting, branch.shooting.weights(1.0), 1e-9, {})(fold)
+    monkeypatch.setattr(Fold, "locate", lambda *_: next(found))
+    again = branch.orbit.exact(Fold(), fold, 1e-9)
     assert fold.refined
     assert not again.refined
     assert np.isinf(again.error)
@@ -123,7 +117,7 @@ def test_the_scaled_peak_velocity_is_the_greatest_velocity_in_widths(branch):
 
 @pytest.mark.exhaustive
 def test_the_jacobian_is_that_of_the_residual(branch):
-    shooting, u, p = branch.shooting, branch.branch.u[3], branch.branch.p[3]
+    shooting, u, p = branch.orbit, branch.branch.u[3], branch.branch.p[3]
     value = jax.jit(residual)
     r, slope, extra = jax.jit(linearise)(jnp.asarray(u), jnp.asarray(p), shooting)
     np.testing.assert_allclose(r, value(u, p, shooting), atol=1e-9)
@@ -204,23 +198,27 @@ def synthetic(*multipliers, monodromy=None):
 
 def test_the_torus_test_changes_its_sign_at_the_unit_circle_alone():
     inside, outside = 0.9 * np.exp(0.3j), 1.1 * np.exp(0.3j)
-    a = encircling(synthetic(inside, np.conj(inside), 0.2))
-    b = encircling(synthetic(outside, np.conj(outside), 0.2))
+    a = Torus().test(None, synthetic(inside, np.conj(inside), 0.2))
+    b = Torus().test(None, synthetic(outside, np.conj(outside), 0.2))
     assert a * b < 0
     # A pair outside or inside becomes real: the same sign.
     for pair, real in (((0.9 + 1e-9j), (0.91, 0.89)), ((1.2 + 1e-9j), (1.21, 1.19))):
-        before = encircling(synthetic(pair, np.conj(pair), 0.2))
-        assert before * encircling(synthetic(*real, 0.2)) > 0
+        before = Torus().test(None, synthetic(pair, np.conj(pair), 0.2))
+        assert before * Torus().test(None, synthetic(*real, 0.2)) > 0
     on = np.exp(0.3j)
-    assert on_the_circle(synthetic(on, np.conj(on), 0.2))
+    assert Torus().happens(synthetic(on, np.conj(on), 0.2))
     # mu_1 mu_2 = 1 for real ones is no torus, though the product vanishes there.
-    assert not on_the_circle(synthetic(2.0, 0.5, 0.2))
-    assert encircling(synthetic(2.0, 0.5, 0.2)) == 0
+    assert not Torus().happens(synthetic(2.0, 0.5, 0.2))
+    assert Torus().test(None, synthetic(2.0, 0.5, 0.2)) == 0
 
 
 def test_the_doubling_test_vanishes_at_minus_one():
-    assert doubling(synthetic(-0.9, 0.3, 0.1)) * doubling(synthetic(-1.1, 0.3, 0.1)) < 0
-    assert doubling(synthetic(-1.0, 0.3, 0.1)) == 0
+    assert (
+        PeriodDoubling().test(None, synthetic(-0.9, 0.3, 0.1))
+        * PeriodDoubling().test(None, synthetic(-1.1, 0.3, 0.1))
+        < 0
+    )
+    assert PeriodDoubling().test(None, synthetic(-1.0, 0.3, 0.1)) == 0
 
 
 def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
@@ -232,7 +230,7 @@ def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():
     growth = np.diag([0.5, 0.4])
     M = np.eye(6) + basis @ (growth - np.eye(2)) @ basis.T  # 1 for symmetric disturbances
     shooting = Shooting(paper_chain(3, width=0.05), 1e-9, Rodas5P(), 1, MIRRORED)
-    test = breaking(synthetic(*np.ones(5), monodromy=M), shooting, ((0, 1, 2), None))
+    test = SymmetryBreaking(((0, 1, 2), None)).test(shooting, synthetic(*np.ones(5), monodromy=M))
     assert test == pytest.approx(0.5)
 
 
@@ -294,7 +292,7 @@ def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symme
     point = symmetric.of_kind("symmetry breaking")[0]
     assert np.min(np.abs(point.multipliers - 1.0)) < 1e-8
     k = point.index - 1
-    chain = symmetric.shooting.field.with_(belt_speed=symmetric.parameter[k])
+    chain = symmetric.orbit.field.with_(belt_speed=symmetric.parameter[k])
     whole = continue_cycle(
         chain, (symmetric.x[k], symmetric.v[k]), symmetric.period[k], direction=-1, mass=1,
         max_points=8, step=0.02, max_step=0.05,
@@ -318,7 +316,7 @@ def test_an_asymmetric_branch_leaves_from_there(symmetric):
     off = a.parameter[:3] - point.parameter
     np.testing.assert_allclose(gap / off, (gap / off)[0], rtol=0.2)
     # It closes, for the other equations too.
-    r = residual(jnp.asarray(a.branch.u[3]), jnp.asarray(a.branch.p[3]), a.shooting)
+    r = residual(jnp.asarray(a.branch.u[3]), jnp.asarray(a.branch.p[3]), a.orbit)
     assert float(jnp.max(jnp.abs(r))) < 1e-8
 
 

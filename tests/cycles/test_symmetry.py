@@ -270,7 +270,7 @@ def test_antiphase_cycles_lose_their_symmetry_in_three_ways():
         [(*some, other) for *some, other in found if np.ptp(other.amplitude[0]) > 0.01]
     )
     for _, symmetry, _, other in found:
-        field = other.shooting.at(other.parameter[0])
+        field = other.orbit.at(other.parameter[0])
         state = tuple(jnp.asarray(part[0]) for part in other.state)
         assert cycle_symmetry(field, state, other.period[0]).label == symmetry.label
 
