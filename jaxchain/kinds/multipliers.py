@@ -161,16 +161,22 @@ class SymmetryBreaking(AbstractTested):
 
 
 def _pair(matrix: Array, kappa: Array) -> tuple[Array, Array]:
-    """Left and right eigenvectors, (2, d) and (d, 2), of the pair with the product 1.
+    """Bases of the left and right invariant subspace, (2, d) and (d, 2), of the pair.
 
-    Of all pairs it is the one whose product is closest to 1 and whose mean is closest to kappa.
+    They are dual to each other.  No other eigenvector is needed: with dry friction several
+    eigenvalues are 0, which may have one eigenvector.
     """
+    right, rows = _subspace(matrix, kappa), _subspace(matrix.T, kappa).T
+    return jnp.linalg.solve(rows @ right, rows), right
+
+
+def _subspace(matrix: Array, kappa: Array) -> Array:
+    """Eigenvectors (d, 2) of the pair whose product is closest to 1 and mean closest to kappa."""
     values, vectors = jnp.linalg.eig(matrix)
     i, j = np.triu_indices(len(matrix), 1)
     product, mean = values[i] * values[j], 0.5 * (values[i] + values[j])
     at = jnp.argmin(jnp.abs(product - 1.0) + jnp.abs(mean - kappa))
-    both = jnp.stack([jnp.asarray(i)[at], jnp.asarray(j)[at]])
-    return jnp.linalg.inv(vectors)[both], vectors[:, both]
+    return vectors[:, jnp.stack([jnp.asarray(i)[at], jnp.asarray(j)[at]])]
 
 
 def _of_pair(block: Array, kappa: Array) -> Array:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import fsolve
 from witnesses.cells import Events
@@ -157,6 +158,68 @@ def test_special_points_of_dry_branches_are_followed_and_differentiated(one_mass
     high, low = frequency(1.5 + 1e-5), frequency(1.5 - 1e-5)
     slope = jax.grad(frequency)(jnp.asarray(1.5))
     assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
+
+
+def test_period_doublings_of_dry_cycles_are_those_of_scipy():
+    """x'' + c x' - x + x^3 + mu sign x' = F cos t: 1 + tr M + det M = 0, by differences."""
+    model = MechanicalCells(
+        -1.0, damping=0.25, local_force=lambda x, v: (-(x[0] ** 3),), friction=Coulomb(0.02),
+        force=0.2, frequency=1.0,
+    )  # fmt: skip
+    start = simulate(model, (jnp.ones(1), jnp.zeros(1)), 160 * np.pi)
+    branch = continue_cycle(find_limit_cycle(model, start), parameter="force", bounds=(0.1, 0.6))
+    curve = continue_special(branch.of_kind("period doubling")[0], "damping", max_points=4)
+    assert curve.kind == "period doubling"
+    assert len(curve.first) == 7
+    for k in (0, 3, -1):
+
+        def run(y, t0, t1, force=curve.first[k], damping=curve.second[k]):
+            while t0 < t1:  # from one reversal to the next, where it does not stick
+                push = force * np.cos(t0) + y[0] - y[0] ** 3
+                sign = np.sign(y[1]) if abs(y[1]) > 1e-10 else np.sign(push)
+
+                def rate(t, y, sign=sign):
+                    x, v = y
+                    return [v, force * np.cos(t) + x - x**3 - damping * v - 0.02 * sign]
+
+                def reversal(t, y):
+                    return y[1]
+
+                reversal.terminal, reversal.direction = True, -sign
+                step = solve_ivp(
+                    rate, (t0, t1), y, method="DOP853", rtol=1e-12, atol=1e-13, events=reversal
+                )
+                t0, y = step.t[-1], step.y[:, -1]
+            return y
+
+        t0 = curve.unknowns[k][2]
+        y = run(np.array([part[k][0] for part in curve.state]), t0, t0 + 0.5)
+        t0, t1 = t0 + 0.5, t0 + 0.5 + 2 * np.pi
+        np.testing.assert_allclose(run(y, t0, t1), y, atol=1e-8)
+        shifts = 1e-5 * np.eye(2)
+        M = np.array([(run(y + d, t0, t1) - run(y - d, t0, t1)) / 2e-5 for d in shifts]).T
+        assert 1 + np.trace(M) + np.linalg.det(M) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.long
+def test_tori_of_dry_cycles_have_multipliers_on_the_unit_circle():
+    """The multipliers of single searches, whose derivatives are those of an event-driven run."""
+    chain = paper_chain(3, belt_speed=1.5, width=None)
+    cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 3000.0))
+    point = continue_cycle(cycle, direction=-1, bounds=(1.38, 2.0)).of_kind("torus")[0]
+    curve = continue_special(point, "coupling", max_points=4)
+    for k in (0, 2, -2):
+        there = chain.with_(belt_speed=curve.first[k], coupling=curve.second[k])
+        state = tuple(jnp.asarray(part[k]) for part in curve.state)
+        mu = find_limit_cycle(there, (state, curve.period[k])).multipliers
+        assert np.min(np.abs(np.abs(mu[np.imag(mu) > 0]) - 1.0)) < 1e-7
+
+    def speed(damping):
+        return find_special_cycle(point, chain.with_(damping_ratio=damping)).value
+
+    slope = jax.grad(speed)(jnp.asarray(0.05))
+    near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
+    assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
 
 
 @pytest.mark.parametrize("width", [None, pytest.param(0.01, marks=pytest.mark.long)])
