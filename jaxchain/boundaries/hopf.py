@@ -25,7 +25,8 @@ from ..model.sliding import (
     sliding_eigenvalues,
 )
 
-_BISECTIONS = 26
+# Halvings of an interval: down to rounding, or as far as Newton's method needs.
+_ALL, _ENOUGH = 52, 26
 
 
 def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
@@ -47,8 +48,9 @@ def hopf_belt_speed(chain: Chain) -> Float[Array, ""]:
     **How:** a scan over 1024 speeds up to 1e6 brackets the last change of sign of d.  For
     parameters per mass the greatest real part takes the place of d, at 64 speeds between the last
     zero of trace D, where sliding is not stable, and the last zero of min d_n, above which it is
-    stable. The scan is refined there and where a minimum is close to zero; then bisection and
-    Newton's method follow, for parameters per mass on the singularity of K - omega^2 + i omega D.
+    stable. The scan is refined there and where a minimum is close to zero; then bisection
+    follows, and for parameters per mass Newton's method on the singularity of K - omega^2 + i
+    omega D.
     `hopf_points` lists every Hopf point and proves that none is missing.  Numbers per mass need
     `jnp.linalg.eigvals`, which JAX has for CPU and GPU; uniform numbers need only elementary
     functions.
@@ -85,14 +87,43 @@ def _damping_residual(u: Array, chain: Chain) -> Array:
     return jnp.reshape(sliding_damping(chain, u[0]), (1,))
 
 
+def damping_at(chain: Chain, speeds: Float[Array, " speeds"]) -> Float[Array, "speeds n"]:
+    """The effective damping d_n of each mass at each of some belt speeds."""
+    return jax.vmap(lambda v: jnp.broadcast_to(sliding_damping(chain, v), (chain.n,)))(speeds)
+
+
+@eqx.filter_jit
+def damping_root(chain: Chain, mass: Any, low: Any, high: Any) -> Array:
+    """The belt speed between `low` and `high` at which the damping of a mass changes its sign."""
+
+    def damping(speed: Array) -> Array:
+        return damping_at(chain, jnp.reshape(speed, 1))[0, mass]
+
+    at_low = damping(low) > 0
+    return bisect(lambda speed: (damping(speed) > 0) == at_low, low, high, _ALL)[0]
+
+
+@eqx.filter_jit
+def refined_crossing(chain: Chain, start: Float[Array, " 2"]) -> tuple[Array, Array, Array]:
+    """((v_d, omega), mode shape, whether other modes cross with it) near a guess of the first.
+
+    Newton's method on the singularity of K - omega^2 + i omega D.
+    """
+    weights = jnp.ones(2)
+
+    def residual(z: Array) -> Array:
+        return crossing_residual(z, (chain, *null_shape(lax.stop_gradient(z), chain)))
+
+    crossing, _, _ = solve(linearised(residual, weights), start, weights, 1e-9, 30)
+    return crossing, *null_shape(crossing, chain)
+
+
 def _uniform(chain: Chain) -> Array:
     def stability(speed: Array) -> Array:
         return jnp.reshape(sliding_damping(chain, speed), ())
 
-    grid = belt_speed_grid(chain)
-    low, high, exists = _last_rise(stability, grid)
-    low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
-    (speed,) = _polish(_damping_residual, jnp.stack([low]), chain, low, high)
+    low, high, exists = _last_rise(stability, belt_speed_grid(chain))
+    speed = damping_root(chain, 0, low, high)
     law = chain.law
     if isinstance(law, ExponentialDecay):
         drop = chain.load * (law.mu_static - law.mu_dynamic)
@@ -105,14 +136,11 @@ def _uniform(chain: Chain) -> Array:
 def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     """((v_H, omega), mode shape, whether other modes cross with it)."""
 
-    def damping(speed: Array) -> Array:
-        return jnp.broadcast_to(sliding_damping(chain, speed), (chain.n,))
-
     def stability(speed: Array) -> Array:
         return -growth_rate(chain, speed)
 
     grid = belt_speed_grid(chain)
-    d = jax.vmap(damping)(grid)
+    d = damping_at(chain, grid)
     # Sliding is stable above `high`, where all d_n are positive; if one never is, because only
     # its neighbours damp that mass, then nothing happens above the speed where d_n has settled.
     least = jnp.min(d, axis=1)
@@ -128,13 +156,14 @@ def _mistuned(chain: Chain) -> tuple[Array, Array, Array]:
     low = jnp.minimum(jnp.where(last > 0, last, first), 0.97 * high)
     inner = jnp.exp(jnp.linspace(jnp.log(low), jnp.log(high), 64))
     low, high, exists = _last_rise(stability, inner)
-    low, high = bisect(lambda v: stability(v) <= 0, low, high, _BISECTIONS)
+    low, high = bisect(lambda v: stability(v) <= 0, low, high, _ENOUGH)
 
     values = sliding_eigenvalues(chain, low)
     frequency = jnp.abs(jnp.imag(values[jnp.argmax(jnp.real(values))]))
-    start = jnp.stack([low, frequency])
-    shape, together = null_shape(start, chain)
-    crossing = _polish(crossing_residual, start, (chain, shape, together), low, high)
+    crossing, shape, together = refined_crossing(chain, jnp.stack([low, frequency]))
+    # With a margin, because the ends have the rounding errors of eigenvalues.
+    margin = (high - low) + 1e-9 * high
+    crossing = crossing.at[0].set(jnp.clip(crossing[0], low - margin, high + margin))
     return if_found(exists, crossing), shape, together
 
 
@@ -174,14 +203,3 @@ def _dips(value: Array) -> Array:
     least = middle - (right - left) ** 2 / (8.0 * bend)
     dips = (middle > 0) & (middle <= left) & (middle <= right) & (least <= 0.5 * middle)
     return jnp.pad(dips, 1)
-
-
-def _polish(residual: Any, start: Array, parameters: Any, low: Array, high: Array) -> Array:
-    """Newton's method on `residual`; the belt speed, its first unknown, stays in the interval."""
-    # With a margin, because the ends have the rounding errors of eigenvalues.
-    margin = (high - low) + 1e-9 * high
-
-    weights = jnp.ones_like(start)
-    both = linearised(lambda u: residual(u, parameters), weights)
-    root, _, _ = solve(both, start, weights, 1e-9, 8)
-    return root.at[0].set(jnp.clip(root[0], low - margin, high + margin))

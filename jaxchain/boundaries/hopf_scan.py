@@ -24,59 +24,67 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Complex, Float, Int
-from scipy.optimize import root_scalar
 
 from .._checks import check_concrete, check_finite, check_pair
 from .._final import final
 from .._types import ArrayLike, Given
-from ..continuation.damped_newton import linearised, solve
 from ..model.arguments import as_chain
 from ..model.chain import Chain, map_numbers, steady_sliding
 from ..model.sliding import (
     GREATEST_SPEED,
     crossing_matrix,
-    crossing_residual,
     dry_damping,
     has_uniform_damping,
     least_belt_speed,
-    null_shape,
     sliding_damping,
+    sliding_eigenvalues,
     stiffness_matrix,
 )
 from ..result import Printed
 from .equilibria import Rates, lyapunov_terms
+from .hopf import damping_at, damping_root, refined_crossing
 
 _SAME = 1e-8  # relative difference of speeds and frequencies of one point
+
+
+@eqx.filter_jit
+def _growth_slopes(
+    chain: Chain, speed: Array, frequency: Array, u: Array, left: Array
+) -> tuple[Array, Array]:
+    """(d Re(lambda) / d|v_d|, that of dry friction).
+
+    lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
+    """
+    one = jnp.ones_like(speed)
+    D, change = jax.jvp(lambda s: sliding_damping(chain, s), (speed,), (one,))
+    _, dry = jax.jvp(lambda s: dry_damping(chain, s), (speed,), (one,))
+    weight = left * u / jnp.sum(left * (2j * frequency + D) * u)
+    slope, dry = (jnp.real(jnp.sum(-1j * frequency * d * weight)) for d in (change, dry))
+    return slope, dry
 
 
 @eqx.filter_jit
 def _numbers(
     chain: Chain, speed: Array, frequency: Array, u: Array, left: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """(l1, l1 over the sizes of its terms, growth slope, that of dry friction, d(A^2) / d|v_d|).
+    """(l1, l1 over the sizes of its terms, both of `_growth_slopes`, d(A^2) / d|v_d|).
 
     - `u`, and `left`, the left null vector of K - omega^2 + i omega D: for a simple pair u itself,
       because that matrix is symmetric; for a wave that travels around a homogeneous ring, one of a
       pair q, -q, conj u; for a standing wave u, real.  Each of these waves lies in a subspace that
       is invariant by symmetry, so l1 is that of cycles in it.
     - If a coefficient is exactly zero, the sum of its terms consists of rounding errors.
-    - lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
     - A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, A the
       greatest amplitude, and |w|^2 = -alpha' (v_d - v_H) / (omega l1).
     """
-    one = jnp.ones_like(speed)
-    D, changes = jax.jvp(lambda s: sliding_damping(chain, s), (speed,), (one,))
+    slope, dry = _growth_slopes(chain, speed, frequency, u, left)
     moving = chain.with_(belt_speed=speed)
     y = jnp.concatenate(steady_sliding(moving))
     q = jnp.concatenate([u, 1j * frequency * u])
-    p = jnp.concatenate([(1j * frequency + D) * left, left])
+    p = jnp.concatenate([(1j * frequency + sliding_damping(chain, speed)) * left, left])
     terms = lyapunov_terms(Rates.of(moving, 2), y, frequency, q, p)
     l1, size = jnp.real(jnp.sum(terms)), jnp.sum(jnp.abs(terms))
-    _, dry = jax.jvp(lambda s: dry_damping(chain, s), (speed,), (one,))
-    weight = left * u / jnp.sum(left * (2j * frequency + D) * u)
-    slope, dry = (jnp.real(jnp.sum(-1j * frequency * d * weight)) for d in (changes, dry))
     square = jnp.sum(jnp.abs(u) ** 2) * (1.0 + frequency**2)
     rise = -4.0 * jnp.max(jnp.abs(u)) ** 2 * slope / (square * frequency * l1)
     return l1, l1 / jnp.where(size > 0, size, 1.0), slope, dry, rise
@@ -132,15 +140,12 @@ def _modes(chain: Chain, K: np.ndarray) -> Iterator[tuple[float, np.ndarray, flo
 def _roots(chain: Chain, mass: int, least: float, greatest: float) -> Iterator[float]:
     """Belt speeds at which d of one mass vanishes."""
 
-    def damping(speed: float) -> float:
-        return float(_damping(chain, np.array([speed]))[0, mass])
-
     for low, high in _unproven(chain, least, greatest, mass=mass):
-        at_low, at_high = damping(low), damping(high)
+        at_low, at_high = _damping(chain, np.array([low, high]))[:, mass]
         if at_low == 0.0:
             yield low
         elif at_high != 0.0 and (at_low > 0) != (at_high > 0):
-            yield float(root_scalar(damping, bracket=(low, high), xtol=1e-300, rtol=1e-15).root)
+            yield float(damping_root(chain, mass, *jnp.array([low, high])))
 
 
 def _unproven(
@@ -204,11 +209,9 @@ def _reaches_axis(K: np.ndarray, damping: np.ndarray, change: float) -> bool:
 
 def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iterator[Crossing]:
     """Crossings of a chain whose damping differs from mass to mass."""
-    n = chain.n
 
     def eigenvalues(speed: float) -> np.ndarray:
-        D = np.diag(_damping(chain, np.array([speed]))[0])
-        return np.linalg.eigvals(np.block([[np.zeros((n, n)), np.eye(n)], [-K, -D]]))
+        return np.asarray(_eigenvalues(chain, jnp.asarray(speed)))
 
     def same(a: float, b: float) -> bool:
         return abs(a - b) <= _SAME * abs(a)
@@ -229,15 +232,16 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
             values: Any = eigenvalues(centre)
             near = np.abs(values.real) <= 10.0 * np.abs(d - d[1]).max()
             for value in values[near & (values.imag > 0)]:
-                z, shape, size, count = _refined(chain, jnp.array([centre, value.imag]))
+                z, shape, _ = refined_crossing(chain, jnp.array([centre, value.imag]))
                 speed, frequency = map(float, z)
+                sizes = np.linalg.svd(crossing_matrix(z, chain), compute_uv=False)
                 inside = max(first, low - margin) <= speed <= min(last, high + margin)
                 new = not any(
                     same(speed, c.speed) and same(frequency, c.frequency) for c in points
                 )
-                if inside and new and frequency > 0 and float(size) <= 1e-10:  # singular
-                    shape = np.asarray(shape)
-                    points.append(Crossing(speed, frequency, shape, np.nan, int(count)))
+                if inside and new and frequency > 0 and sizes[-1] <= 1e-10 * sizes[0]:
+                    shape, count = np.asarray(shape), int((sizes <= _SAME * sizes[0]).sum())
+                    points.append(Crossing(speed, frequency, shape, np.nan, count))
         # The crossings must explain the change of the number of unstable pairs.
         unstable = [int((np.real(eigenvalues(speed)) > 0).sum()) // 2 for speed in (first, last)]
         gained = sum(c.multiplicity * _growth_direction(chain, c) for c in points)
@@ -253,25 +257,11 @@ def _coupled(chain: Chain, K: np.ndarray, least: float, greatest: float) -> Iter
 
 def _growth_direction(chain: Chain, crossing: Crossing) -> int:
     """+1 if the mode begins to grow as the speed grows, -1 if it ceases to."""
-    speed, omega, u = crossing.speed, crossing.frequency, crossing.shape
-    D, up, down = _damping(chain, speed * np.array([1.0, 1.0 + 1e-7, 1.0 - 1e-7]))
-    slope = (u * u * (up - down)).sum() / (u * u * (2j * omega + D)).sum()
-    return 1 if complex(-1j * omega * slope).real > 0 else -1
+    speed, frequency, u = map(jnp.asarray, crossing[:3])
+    return 1 if _growth_slopes(chain, speed, frequency, u, u)[0] > 0 else -1
 
 
-@eqx.filter_jit
-def _refined(chain: Chain, start: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Newton's method: ((v_d, omega), u, relative least singular value, null vectors)."""
-
-    weights = jnp.ones(2)
-
-    def residual(z: jax.Array) -> jax.Array:
-        return crossing_residual(z, (chain, *null_shape(lax.stop_gradient(z), chain)))
-
-    z, _, _ = solve(linearised(residual, weights), start, weights, 1e-9, 30)
-    shape, _ = null_shape(z, chain)
-    sizes = jnp.linalg.svd(crossing_matrix(z, chain), compute_uv=False)
-    return z, shape, sizes[-1] / sizes[0], jnp.sum(sizes <= _SAME * sizes[0])
+_damping_at, _eigenvalues = eqx.filter_jit(damping_at), eqx.filter_jit(sliding_eigenvalues)
 
 
 def _damping(chain: Chain, speeds: np.ndarray) -> np.ndarray:
@@ -279,11 +269,6 @@ def _damping(chain: Chain, speeds: np.ndarray) -> np.ndarray:
     size = 1 << max(4, int(np.ceil(np.log2(speeds.size))))  # few shapes, few compilations
     padded = np.concatenate([speeds, np.full(size - speeds.size, speeds[-1])])
     return np.asarray(_damping_at(chain, jnp.asarray(padded)))[: speeds.size]
-
-
-@eqx.filter_jit
-def _damping_at(chain: Chain, speeds: jax.Array) -> jax.Array:
-    return jax.vmap(lambda v: jnp.broadcast_to(sliding_damping(chain, v), (chain.n,)))(speeds)
 
 
 @final
