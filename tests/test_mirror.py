@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems.orbits import closed_orbit
 
 import jaxchain as jc
-from jaxchain.cycles.limit_cycle import refine_orbit
 from jaxchain.localization.patterns import phase_model
 
 COUNT, N = 20, 3
@@ -106,7 +106,7 @@ def cycle(chain, sign):
 
 def dry_orbit(chain, sign):
     state = jc.simulate(chain, start(chain, sign), 200.0, solver=DRY, rtol=1e-9).state
-    orbit = refine_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
+    orbit = closed_orbit(chain, state, 6.3 / jnp.sqrt(chain.stiffness), solver=DRY)
     return turned(sign, orbit.state), orbit.period, jnp.abs(orbit.multipliers) > 1e-12
 
 

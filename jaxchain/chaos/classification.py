@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple, TypeAlias
@@ -33,7 +34,7 @@ from .._progress import progress_bar
 from .._statistics import mean_interval
 from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..cycles.floquet import check_force
-from ..cycles.limit_cycle import RefinedOrbit, refine_orbit
+from ..cycles.limit_cycle import ClosedOrbit, StateEquations
 from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
 from ..observers.amplitude import Amplitude
@@ -63,7 +64,7 @@ MEANINGS = {
 
 
 @final
-@dataclass(repr=False)
+@dataclass(frozen=True, repr=False)
 class Evidence(Printed):
     """The evidence of one run of an ensemble; unknown values are NaN or empty.
 
@@ -125,6 +126,11 @@ class Evidence(Printed):
         return self.kind != "open" and (self.kind != "unstable" or self.noise == 0.0)
 
     @property
+    def verdict(self) -> str:
+        """The verdict on this run by itself: one of `VERDICTS`, "transient" unless it is known."""
+        return MEANINGS.get(self.kind, "transient")
+
+    @property
     def neutral(self) -> int:
         """The number of exponents that are always zero: that of the flow, unless it is forced."""
         return int(math.isnan(self.forcing_period))
@@ -178,7 +184,7 @@ class Verdict(Printed):
     @property
     def lead(self) -> Evidence:
         """The run with the most exponents among those that decide the verdict."""
-        agreeing = [run for run in self.runs if MEANINGS.get(run.kind) == self.verdict]
+        agreeing = [run for run in self.runs if run.verdict == self.verdict != "transient"]
         worst = max(run.noise for run in self.runs)
         noisiest = [run for run in self.runs if run.noise == worst]
         chosen = [r for r in agreeing if r.noise == worst] or agreeing or noisiest
@@ -238,8 +244,8 @@ def judge_exponents(run: Evidence, criteria: Criteria) -> str:
     The flow has one exponent 0, a torus one more; a forced motion lacks that of the flow.
 
     >>> import numpy as np
-    >>> run = Evidence(0.0, 0, exponents=np.array([2e-3, 0.0]), low=np.array([1e-3, -1e-5]))
-    >>> run.high = np.array([3e-3, 1e-5])
+    >>> low, high = np.array([1e-3, -1e-5]), np.array([3e-3, 1e-5])
+    >>> run = Evidence(0.0, 0, exponents=np.array([2e-3, 0.0]), low=low, high=high)
     >>> judge_exponents(run, Criteria())
     'chaos'
     """
@@ -298,11 +304,10 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
     quiet = [run for run in runs if run.noise == 0.0] or voters
     verdict = _common(voters)
     undisturbed = "periodic" if quiet[0].kind == "unstable" else _common(quiet)
-    counted = {kind: sum(run.kind == kind for run in runs) for kind in KINDS}
-    counts = ", ".join(f"{count} {kind}" for kind, count in counted.items() if count)
-    lost = [run.kind for run in runs if _failed(run)]
-    failures = [f"{lost.count(name)} failed ({name})" for name in sorted(set(lost))]
-    reason = f"{len(runs)} runs: {', '.join([counts] * bool(counts) + failures)}"
+    kinds, votes = Counter(run.kind for run in runs), Counter(run.verdict for run in voters)
+    counts = [f"{kinds[kind]} {kind}" for kind in KINDS if kinds[kind]]
+    counts += [f"{kinds[name]} failed ({name})" for name in sorted(kinds.keys() - set(KINDS))]
+    reason = f"{len(runs)} runs: {', '.join(counts)}"
     reason += "".join(f"; {text}" for text in _numbers(runs, verdict))
     return Verdict(
         verdict=verdict,
@@ -312,30 +317,23 @@ def classify(runs: Sequence[Evidence]) -> Verdict:
         depends_on_noise=verdict != undisturbed or any(run.kind == "unstable" for run in quiet),
         longest=max(run.time for run in runs),
         runs=tuple(runs),
-        shares={
-            name: sum(MEANINGS.get(run.kind, "transient") == name for run in voters) / len(voters)
-            for name in dict.fromkeys(MEANINGS.get(run.kind, "transient") for run in voters)
-        },
+        shares={name: count / len(voters) for name, count in votes.items()},
     )
 
 
-def _failed(run: Evidence) -> bool:
-    return run.kind not in KINDS
-
-
 def _common(runs: Sequence[Evidence]) -> str:
-    if any(map(_failed, runs)):
+    if any(run.kind not in KINDS for run in runs):
         return "failed"
     # Only some runs of an ensemble have exponents: other runs that have not closed count like
     # those.
-    kinds = {run.kind for run in runs if len(run.exponents) or run.kind != "open"}
     if any(run.kind in ("cycle", "rest") for run in runs):
-        kinds = {run.kind for run in runs}
-    meanings = {MEANINGS.get(kind) for kind in kinds}
-    if len(meanings) > 1 and None not in meanings and _end_apart(runs):
+        counted = runs
+    else:
+        counted = [run for run in runs if len(run.exponents) or run.kind != "open"]
+    found = {run.verdict for run in counted}
+    if len(found) > 1 and "transient" not in found and _end_apart(runs):
         return "several attractors"
-    only = meanings.pop() if len(meanings) == 1 else None
-    return "transient" if only is None else only
+    return found.pop() if len(found) == 1 else "transient"
 
 
 def _end_apart(runs: Sequence[Evidence]) -> bool:
@@ -612,7 +610,8 @@ def advance(
             records.append(record)
             for k, trial in enumerate(batch):
                 trial.state, trial.outcome = tuple(part[k] for part in state), NAMES[ended[k]]
-                trial.evidence.time += CHUNK * float(task.window)
+                time = trial.evidence.time + CHUNK * float(task.window)
+                trial.evidence = replace(trial.evidence, time=time)
         whole = RunRecord(*(np.concatenate(parts, axis=1) for parts in zip(*records, strict=True)))
         for k, trial in enumerate(batch):
             yield trial, RunRecord(*(part[k] for part in whole))
@@ -646,20 +645,23 @@ def measure_exponents(
     time = float(task.time)
     for k, trial in enumerate(trials):
         order = np.argsort(-spectra.exponents[k])
-        for name in ("exponents", "low", "high", "smooth"):
-            setattr(trial.evidence, name, getattr(spectra, name)[k][order])
-        trial.evidence.exponent_time = time
-        trial.evidence.time += (1.0 + _SETTLE) * time
+        names = ("exponents", "low", "high", "smooth")
         trial.state = tuple(part[k] for part in spectra.state)
         trial.outcome = NAMES[code(spectra.result)[k]]
-        if not ended_well(trial.outcome):  # its exponents are NaN, however long it runs
-            trial.evidence.kind = trial.outcome
+        trial.evidence = replace(
+            trial.evidence,
+            **{name: getattr(spectra, name)[k][order] for name in names},
+            exponent_time=time,
+            time=trial.evidence.time + (1.0 + _SETTLE) * time,
+            # Exponents of a run that fails are NaN, however long it runs.
+            kind=trial.evidence.kind if ended_well(trial.outcome) else trial.outcome,
+        )
 
 
 # An exponent within this number of its errors counts as zero.
 _NEUTRAL = 10.0
 # Closed orbits found from one state: the reference mass, a point of the section, the orbit.
-KnownOrbits = list[tuple[int, np.ndarray, RefinedOrbit]]
+KnownOrbits = list[tuple[int, np.ndarray, ClosedOrbit]]
 
 
 def judge_orbit(
@@ -682,38 +684,41 @@ def judge_orbit(
     size = record.sizes[-1]
     moves = size >= criteria.rest
     energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
-    evidence.energy, evidence.energy_deviation = float(np.mean(energies)), float(np.std(energies))
+    mean, deviation = float(np.mean(energies)), float(np.std(energies))
+    evidence = replace(evidence, energy=mean, energy_deviation=deviation)
     if not np.any(moves):
-        evidence.active = np.zeros(n, bool)
-        evidence.kind, evidence.locked_at, evidence.spread = "rest", evidence.time, 0.0
-        return evidence
+        still = np.zeros(n, bool)
+        return replace(evidence, active=still, kind="rest", locked_at=evidence.time, spread=0.0)
     # The size of the orbit in each component; one that does not move is noise.
     scale = np.repeat(np.where(moves, size, np.inf), n) if len(moves) > 1 else size
-    evidence.active = amplitude[-1] > 0.5 * max(size[0], criteria.rest)
-    masses = np.flatnonzero(evidence.active)
+    active = amplitude[-1] > 0.5 * max(size[0], criteria.rest)
+    masses = np.flatnonzero(active)
+    evidence = replace(evidence, active=active)
     if masses.size:
         before, after = (np.mean(part) for part in np.array_split(energies, 2))
-        evidence.drift = float(abs(before - after) / np.mean(energies))
+        evidence = replace(evidence, drift=float(abs(before - after) / np.mean(energies)))
     counted = np.isfinite(record.peaks[:, :, masses])
     if masses.size and counted[:, 1].any(axis=0).all() and not counted[:, -1].any():
         turned = phases(record, masses)
-        evidence.slips = float(np.max(np.abs(turned[-1] - turned[half])))
-        evidence.period = float(np.mean(mean_periods(record, masses)))
-        evidence.delays = record.peaks[-1, 1, masses] / evidence.period
-        defect = symmetry_defect(record, evidence.active, evidence.period, task.chain.ends)
-        evidence.symmetry_time = np.append(evidence.symmetry_time, record.t)
-        evidence.symmetry = np.append(evidence.symmetry, defect)
+        period = float(np.mean(mean_periods(record, masses)))
+        defect = symmetry_defect(record, active, period, task.chain.ends)
+        evidence = replace(
+            evidence,
+            slips=float(np.max(np.abs(turned[-1] - turned[half]))),
+            period=period,
+            delays=record.peaks[-1, 1, masses] / period,
+            symmetry_time=np.append(evidence.symmetry_time, record.t),
+            symmetry=np.append(evidence.symmetry, defect),
+        )
     if task.forced is None and reference not in masses:
         # The reference mass does not move; the middle of the vibrating masses moves most
         # regularly.
         if masses.size:
             trial.reference = int(masses[np.argmin(np.abs(masses - n // 2))])
         return evidence
-    evidence.novelty = novelty(record)
-    evidence.spread, evidence.returns, period = recurrence(
-        record, scale=scale, closed=criteria.sits
-    )
-    if evidence.spread > criteria.near or not period > 0:
+    spread, returns, period = recurrence(record, scale=scale, closed=criteria.sits)
+    evidence = replace(evidence, novelty=novelty(record), spread=spread, returns=returns)
+    if spread > criteria.near or not period > 0:
         return evidence
     point = record.points[-1, 0]
     near = (
@@ -725,22 +730,20 @@ def judge_orbit(
         start = tuple(jnp.asarray(part) for part in np.split(point, len(trial.state)))
         # What does not move must close, too: as well as the smallest of what moves.
         sizes = np.where(np.isfinite(scale), scale, np.min(scale))
-        orbit = refine_orbit(
-            task.chain, start, period, solver=task.solver, rtol=min(task.rtol, 1e-9), scale=sizes
-        )
+        rtol = min(task.rtol, 1e-9)
+        equations = StateEquations(task.chain, rtol, task.solver, len(start), n)
+        orbit = equations.close(start, to_float(period), to_float(sizes))
         if not (orbit.gap < criteria.gap and orbit.distance < 4 * criteria.near):
             return evidence
         orbits.append((reference, point, orbit))
-    _enter_orbit(evidence, orbit, evidence.spread < criteria.sits)
-    apart = np.abs(record.points[:, :1] - record.points[-1][None, : evidence.returns]) / scale
+    apart = np.abs(record.points[:, :1] - record.points[-1][None, :returns]) / scale
     outside = np.flatnonzero(~(apart.max(-1).min(1) < criteria.near))
     # The time since which the run has stayed close to its end.
-    if evidence.kind in ("cycle", "unstable") and outside.size:
-        evidence.locked_at = float(record.t[outside[-1]])
-    return evidence
+    locked_at = float(record.t[outside[-1]]) if outside.size else evidence.time
+    return _on_orbit(evidence, orbit, spread < criteria.sits, locked_at)
 
 
-def _enter_orbit(evidence: Evidence, orbit: RefinedOrbit, sits: bool) -> None:
+def _on_orbit(evidence: Evidence, orbit: ClosedOrbit, sits: bool, locked_at: float) -> Evidence:
     period = float(orbit.period)
     # An unresolved exponent, NaN, has a known upper bound.
     flow = np.zeros(evidence.neutral)
@@ -754,14 +757,19 @@ def _enter_orbit(evidence: Evidence, orbit: RefinedOrbit, sits: bool) -> None:
     # One of a family of orbits: phases of uncoupled masses neither lock nor drift.
     neutral = sits and abs(highest[greatest]) <= _NEUTRAL * errors[greatest]
     if not (stable or neutral) and not (sits and highest[greatest] > errors[greatest]):
-        return
-    evidence.kind = "cycle" if stable or neutral else "unstable"
+        return evidence
     if neutral:
         rates = np.where(np.abs(rates) <= _NEUTRAL * errors, 0.0, rates)
     order = np.argsort(-highest, kind="stable")
-    evidence.period, evidence.locked_at = period, evidence.time
-    evidence.exponents, evidence.high = rates[order], (highest + errors)[order]
-    evidence.low = np.where(np.isnan(rates), -np.inf, rates - errors)[order]
+    return replace(
+        evidence,
+        kind="cycle" if stable or neutral else "unstable",
+        period=period,
+        locked_at=locked_at,
+        exponents=rates[order],
+        high=(highest + errors)[order],
+        low=np.where(np.isnan(rates), -np.inf, rates - errors)[order],
+    )
 
 
 # The most runs of one kind; the remedy for systems without a verdict.
@@ -940,13 +948,19 @@ def verdicts(
         end = max((trial.evidence.time for trial in measured), default=0.0)
         advance_and_judge(measured, end + 1.0, again=True)
     groups = [[t.evidence for t in trials if t.start == i] for i in range(len(orbits))]
-    for group in groups:
-        torus = judge_torus(group, criteria)
-        for run in group:
-            if run.kind == "open" and len(run.exponents):
-                run.kind = "torus" if torus else judge_exponents(run, criteria)
-                run.locked_at = run.time if run.kind == "cycle" else run.locked_at
-    return [classify(group) for group in groups]
+    return [classify(_judged(group, criteria)) for group in groups]
+
+
+def _judged(runs: Sequence[Evidence], criteria: Criteria) -> list[Evidence]:
+    """The runs of one state; those with exponents that did not close are judged by these."""
+    torus, judged = judge_torus(runs, criteria), []
+    for run in runs:
+        if run.kind == "open" and len(run.exponents):
+            kind = "torus" if torus else judge_exponents(run, criteria)
+            locked_at = run.time if kind == "cycle" else run.locked_at
+            run = replace(run, kind=kind, locked_at=locked_at)
+        judged.append(run)
+    return judged
 
 
 def _starts(

@@ -35,11 +35,10 @@ from ..model.model import AbstractModel
 from ..observers.samples import Trajectory
 from ..observers.section import Section
 from ..result import Printed, name_of
-from ..simulation.method import MAX_STEP, check_tolerances, fit_linear_solve
+from ..simulation.method import MAX_STEP, check_tolerances
 from ..simulation.run import simulate
-from ..solvers.rosenbrock import Rodas5P
 from .averaging import one_mass
-from .floquet import LimitCycle
+from .floquet import LimitCycle, cycle_solver
 from .limit_cycle import find_limit_cycle, guess_from_point, solve_cycle, watched
 from .shooting import Shooting
 from .symmetry import ring_motions
@@ -266,7 +265,7 @@ def find_limit_cycles(
                 f"multiple of that of the force, {float(forced):g}."
             )
         forcing_periods = int(every[0])
-    solver = fit_linear_solve(Rodas5P(), model, float(rtol), state=one)
+    solver = cycle_solver(model, rtol, one)
     images = as_images(None, n, mass)
     shooting = Shooting(model, rtol, solver, mass, images, None, m, forcing_periods)
     if forcing_periods is None:

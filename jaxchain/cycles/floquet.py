@@ -24,7 +24,7 @@ from ..result import Outcome, Result, SearchResult
 from ..simulation.event_driven import EventDriven
 from ..simulation.method import MAX_STEP, check_tolerances, fit_linear_solve
 from ..simulation.run import simulate
-from ..solvers.rosenbrock import Rodas5P
+from ..solvers.rosenbrock import AbstractStructuredRosenbrock, Rodas5P
 from .variational import Period, linearised_period
 
 CYCLE_RTOL = 1e-10
@@ -283,9 +283,14 @@ def _period(model: Any, state: Any, period: Any, rtol: Any) -> Period:
     model, state, period = as_orbit(model, state, period)
     state = check_orbit(model, state, period, rtol)
     require_smoothed(model, "use `find_limit_cycle` or `monodromy_matrix`, or ")
-    given = 1e-9 if is_traced(rtol) else float(rtol)
-    solver = fit_linear_solve(Rodas5P(), model, given, state=state)
+    solver = cycle_solver(model, rtol, state)
     return _linearised(model, state, to_float(period), to_float(rtol), solver)
+
+
+def cycle_solver(model: AbstractModel, rtol: Any, state: State) -> AbstractStructuredRosenbrock:
+    """The solver of runs over a period of smoothed friction."""
+    given = 1e-9 if is_traced(rtol) else float(rtol)
+    return fit_linear_solve(Rodas5P(), model, given, state=state)
 
 
 @eqx.filter_jit

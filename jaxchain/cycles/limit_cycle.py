@@ -4,8 +4,8 @@ A guess is (state, period) with the state at the greatest velocity of the vibrat
 direction of the belt, where `Shooting` cuts the orbit.  Newton's method solves the equations of
 `cycles/shooting.py`, one linearised integration a step.
 
-With true dry friction the state itself is the unknown (`refine_orbit`), and the derivative is that
-of the event-driven run, with its saltation at sticking and release.
+With true dry friction the state itself is the unknown (`StateEquations`), and the derivative is
+that of the event-driven run, with its saltation at sticking and release.
 
 Near a fold the stick-slip cycle and the slip cycle are close to each other: averaging gives no
 slip cycle there, a simulation may not settle in time, and Newton's method may converge to the
@@ -37,7 +37,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import Given, ScalarLike, State
 from ..continuation.arclength import make_corrector
 from ..continuation.damped_newton import Factors, Iterate, check_tolerance, ending, factorise
@@ -60,10 +59,8 @@ from ..simulation.method import (
     check_tolerances,
     choose_solver,
     custom_solver,
-    fit_linear_solve,
 )
 from ..simulation.run import Simulation, simulate
-from ..solvers.rosenbrock import Rodas5P
 from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_peak_velocity
 from .branches import NoBranchError, continue_cycle
 from .floquet import (
@@ -71,6 +68,7 @@ from .floquet import (
     LEAST_VELOCITY,
     LimitCycle,
     check_orbit,
+    cycle_solver,
     forcing_periods_of,
     is_trusted,
     liouville_defect,
@@ -378,12 +376,11 @@ def _residual(unknowns: Float[Array, " m"], equations: Any) -> Float[Array, " m"
     return jnp.concatenate([gap, seen - amplitude])
 
 
-@final
-class RefinedOrbit(NamedTuple):
-    """A periodic orbit, or the attempt at one.
+class ClosedOrbit(NamedTuple):
+    """A periodic orbit as `StateEquations.close` leaves it, or the attempt at one.
 
     - `state` and `period`, the minimal one; `gap`, the greatest component of the closing error,
-      infinite if no cycle of the chain is so fast or has so short a period; `distance`, the
+      infinite if no cycle of the model is so fast or has so short a period; `distance`, the
       greatest component of the change during the iteration (of the minimal period).
     - `multipliers`: the Floquet multipliers except the trivial one, greatest modulus first.  With
       dry friction the last k are exactly 0, k the greatest number of masses that stick together.
@@ -391,6 +388,7 @@ class RefinedOrbit(NamedTuple):
       NaN.
     - `defect`: |M f - f| / |f|, the error of the trivial multiplier, which others may have, too;
       `resolution`: the defect, or rounding.
+    - `returned`: whether it returns earlier; `evaluations`: how many integrations it took.
 
     """
 
@@ -401,6 +399,8 @@ class RefinedOrbit(NamedTuple):
     multipliers: Complex[Array, " others"]
     defect: Float[Array, ""]
     resolution: Float[Array, ""]
+    returned: Returned
+    evaluations: Int[Array, ""]
 
     @property
     def exponents(self) -> Float[Array, " others"]:
@@ -414,30 +414,20 @@ class RefinedOrbit(NamedTuple):
         return jnp.where(jnp.isnan(self.multipliers), below, self.exponents)
 
 
-def refine_orbit(
-    model: Any, state: State, period: Any, *, solver: Any = None, rtol: Any = 1e-9,
-    scale: Any = 1.0,
-) -> RefinedOrbit:  # fmt: skip
-    """The periodic orbit near a state that nearly returns after `period`, by Newton's method.
+class _RunResults(NamedTuple):
+    """Further results of a run."""
 
-    Solves flow(y, T) = y with the correction at right angles to the orbit:
-
-        [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
-
-    with at most 8 integrations.  A mass that sticks at the start also sticks in the result.  If
-    the orbit already returns after 1/k of `period` (k up to 16), it is solved again with that
-    fraction. Check `gap` and `distance` first; they are divided by `scale`, the size of each
-    number of the state or of all.  The period of a forced orbit, whose `state` is
-    that at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
-    """
-    equations = _States(model, rtol, custom_solver(model, solver), len(state), state[0].size)
-    return _close(equations, state, to_float(period), to_float(scale))[0]
+    slopes: Float[Array, "two_n m"]  # of the state at the end, in the state and T
+    returned: Returned
+    sticking: Int[Array, ""]  # the greatest number of masses that stick together, dry
 
 
-class _States(eqx.Module):
+class StateEquations(eqx.Module):
     """The equations of a periodic orbit in its state and period, u = (x, v, T) for m = 2.
 
-    Those of `closing` cut it where mass `mass` is fastest, or is released by the belt; a forced
+    They serve dry friction, whose section is an event, and verdicts, whose runs have any solver
+    and need no section; `Shooting` has the coordinates that narrow widths need.  Those of
+    `closing` cut the orbit where mass `mass` is fastest, or is released by the belt; a forced
     orbit, whose period is `forcing_periods` periods of the force, at t = 0.
     """
 
@@ -475,79 +465,80 @@ class _States(eqx.Module):
             last = period - self.forcing_periods * to_float(field.forcing_period())
         return jnp.concatenate([*gaps, last[None]]), run.observed
 
+    @eqx.filter_jit
+    def close(self, state: State, period: Array, scale: Any = 1.0) -> ClosedOrbit:
+        """The periodic orbit near a state that nearly returns after `period`.
 
-class _RunResults(NamedTuple):
-    """Further results of a run."""
+        Newton's method solves flow(y, T) = y with the correction at right angles to the orbit:
 
-    slopes: Float[Array, "two_n m"]  # of the state at the end, in the state and T
-    returned: Returned
-    sticking: Int[Array, ""]  # the greatest number of masses that stick together, dry
+            [[M - 1, f], [f^T, 0]] (dy, dT) = (y - flow(y, T), 0),    f = d flow / dT,
 
+        with at most 8 integrations.  A mass that sticks at the start also sticks in the result.
+        If the orbit already returns after 1/k of `period` (k up to 16), it is solved again with
+        that fraction.  Check `gap` and `distance` first; they are divided by `scale`, the size of
+        each variable of the state or of all.  The period of a forced orbit, whose `state` is that
+        at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
+        """
+        model, start = self.field, self.pack(state, period)
+        d, forced = start.shape[0] - 1, model.forcing_period() is not None
+        dry = isinstance(self.solver, EventDriven)
+        observe = [Returns(), MostSticking()] if dry else [Returns()]
 
-@eqx.filter_jit
-def _close(
-    equations: _States, state: State, period: Array, scale: Any = 1.0
-) -> tuple[RefinedOrbit, Returned, Int[Array, ""]]:
-    """(the orbit, whether it returns earlier, how many integrations it took)."""
-    chain, start = equations.field, equations.pack(state, period)
-    d, forced = start.shape[0] - 1, chain.forcing_period() is not None
-    dry = isinstance(equations.solver, EventDriven)
-    observe = [Returns(), MostSticking()] if dry else [Returns()]
+        def end_of(u: Array) -> tuple[Array, tuple[Array, list]]:
+            run = self.run(u, observe)
+            end = jnp.concatenate(run.state)
+            return end, (end, [*run.observed, jnp.zeros((), int)][:2])
 
-    def end_of(u: Array) -> tuple[Array, tuple[Array, list]]:
-        run = equations.run(u, observe)
-        end = jnp.concatenate(run.state)
-        return end, (end, [*run.observed, jnp.zeros((), int)][:2])
+        weights = jnp.full(start.shape, start.shape[0] ** -0.5)
 
-    weights = jnp.full(start.shape, start.shape[0] ** -0.5)
+        def linearise(u: Array) -> tuple[Array, Factors, _RunResults]:
+            slopes, (end, seen) = jax.jacfwd(end_of, has_aux=True)(u)
+            f, corner = slopes[:, -1], jnp.zeros((1, 1))
+            return_map = slopes[:, :-1] - jnp.eye(d)
+            if forced:
+                f, corner = jnp.zeros(d), jnp.ones((1, 1))
+            else:
+                return_map = return_map + _free_phases(model, state, slopes[:, :-1], f)
+            matrix = jnp.block([[return_map, f[:, None]], [f[None], corner]])
+            value = jnp.append(end - u[:-1], 0.0)
+            return value, factorise(matrix, weights), _RunResults(slopes, *seen)
 
-    def linearise(u: Array) -> tuple[Array, Factors, _RunResults]:
-        slopes, (end, seen) = jax.jacfwd(end_of, has_aux=True)(u)
-        f, corner = slopes[:, -1], jnp.zeros((1, 1))
-        return_map = slopes[:, :-1] - jnp.eye(d)
-        if forced:
-            f, corner = jnp.zeros(d), jnp.ones((1, 1))
-        else:
-            return_map = return_map + _free_phases(chain, state, slopes[:, :-1], f)
-        matrix = jnp.block([[return_map, f[:, None]], [f[None], corner]])
-        return (
-            jnp.append(end - u[:-1], 0.0),
-            factorise(matrix, weights),
-            _RunResults(slopes, *seen),
+        def closed(now: Iterate) -> Array:
+            # A share of the size of the orbit.
+            return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
+
+        # A dry run often starts where a mass begins to stick: a kink, which the first step may
+        # cross.
+        best = newton_minimal_period(
+            self, linearise, start, weights, limit=8, fine=1e-13, closed=closed,
+            least_damping=0.25 if dry else 0.5,
+        )  # fmt: skip
+        failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
+        u, slopes = best.u + failed, best.aux.slopes + failed
+        _, found, _ = self.unpack(u)
+        possible = model.can_be_cycle(u[-1], jnp.abs(found[-1]))
+        once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
+        floquet = orbit_multipliers(slopes[:, :-1], None if forced else slopes[:, -1])
+        resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
+        resolved = ~(jnp.abs(floquet.multipliers) < resolution)
+        # Masses that stick together all have the belt speed.
+        others = floquet.multipliers.shape[0]
+        kept = jnp.arange(others) < others - best.aux.sticking
+        multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
+        multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
+        gap = jnp.where(possible, jnp.max(jnp.abs(best.value[:-1]) / scale), jnp.inf) + failed
+        sizes = jnp.append(scale + jnp.zeros(d), jnp.min(scale))
+        return ClosedOrbit(
+            state=found,
+            period=u[-1],
+            gap=gap,
+            distance=jnp.max(jnp.abs(u - once) / sizes),
+            multipliers=multipliers,
+            defect=floquet.defect,
+            resolution=resolution,
+            returned=best.aux.returned,
+            evaluations=best.evaluations,
         )
-
-    def closed(now: Iterate) -> Array:
-        # A share of the size of the orbit.
-        return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
-
-    # A dry run often starts where a mass begins to stick: a kink, which the first step may cross.
-    best = newton_minimal_period(
-        equations, linearise, start, weights, limit=8, fine=1e-13, closed=closed,
-        least_damping=0.25 if dry else 0.5,
-    )  # fmt: skip
-    failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
-    u, slopes = best.u + failed, best.aux.slopes + failed
-    _, found, _ = equations.unpack(u)
-    possible = chain.can_be_cycle(u[-1], jnp.abs(found[-1]))
-    once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
-    floquet = orbit_multipliers(slopes[:, :-1], None if forced else slopes[:, -1])
-    resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
-    resolved = ~(jnp.abs(floquet.multipliers) < resolution)
-    # Masses that stick together all have the belt speed.
-    others = floquet.multipliers.shape[0]
-    kept = jnp.arange(others) < others - best.aux.sticking
-    multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
-    multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
-    orbit = RefinedOrbit(
-        state=found,
-        period=u[-1],
-        gap=jnp.where(possible, jnp.max(jnp.abs(best.value[:-1]) / scale), jnp.inf) + failed,
-        distance=jnp.max(jnp.abs(u - once) / jnp.append(scale + jnp.zeros(d), jnp.min(scale))),
-        multipliers=multipliers,
-        defect=floquet.defect,
-        resolution=resolution,
-    )
-    return orbit, best.aux.returned, best.evaluations
 
 
 def _free_phases(model: Any, state: State, monodromy: Array, f: Array) -> Array:
@@ -566,14 +557,14 @@ def _free_phases(model: Any, state: State, monodromy: Array, f: Array) -> Array:
 
 @eqx.filter_jit
 def dry_cycle(
-    equations: _States, state: State, period: Array, tolerance: Array, limit: Any
+    equations: StateEquations, state: State, period: Array, tolerance: Array, limit: Any
 ) -> tuple[LimitCycle, Array]:
     """(the cycle of a dry model near a guess, its unknowns u), cut as `closing` does."""
     del limit
     chain, mass, of = equations.field, equations.mass, SearchResult
     forced = equations.forcing_periods is not None
-    orbit, returned, evaluations = _close(equations, state, period)
-
+    orbit = equations.close(state, period)
+    returned = orbit.returned
     runs = DryRun(chain, equations.rtol, mass, equations.forcing_periods)
     state, end, (low, high, fastest, _) = runs.from_the_cut(orbit.state, orbit.period)
     u = equations.pack(state, orbit.period)
@@ -600,7 +591,7 @@ def dry_cycle(
         liouville_defect=jnp.full_like(orbit.defect, jnp.nan),
         amplitude=(high - low) / 2,
         fastest=fastest,
-        evaluations=evaluations,
+        evaluations=orbit.evaluations,
         times_round=returned.times_round_of(equations.forcing_periods or 1),
     )
     return cycle, u
@@ -794,12 +785,10 @@ def find_limit_cycle(
     if forcing_periods is None:
         forcing_periods = forcing_periods_of(fixed, period)
     if model.dry:
-        solve = dry_cycle
-        equations = _States(fixed, to_float(rtol), EventDriven(), m, n, mass, forcing_periods)
+        solve, rtol = dry_cycle, to_float(rtol)
+        equations = StateEquations(fixed, rtol, EventDriven(), m, n, mass, forcing_periods)
     else:
-        given = 1e-9 if is_traced(rtol) else float(rtol)
-        solver = fit_linear_solve(Rodas5P(), fixed, given, state=state)
-        solve = solve_cycle
+        solve, solver = solve_cycle, cycle_solver(fixed, rtol, state)
         equations = Shooting(fixed, rtol, solver, mass, images, None, m, forcing_periods, shift)
     reason = ""
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
@@ -881,7 +870,7 @@ def resolve_guess(
     return mass, state, period
 
 
-def _family(equations: Shooting | _States, state: State, period: Array) -> str:
+def _family(equations: Shooting | StateEquations, state: State, period: Array) -> str:
     """That cycles near the guess are a family, and what helps; "" if they are not."""
     field = equations.field
     if equations.forcing_periods is not None:

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from systems.orbits import closed_orbit
 
 from jaxchain import EventDriven, equation_8, paper_chain, simulate
 from jaxchain.chaos.classification import verdict, verdicts
-from jaxchain.cycles.limit_cycle import refine_orbit
 from jaxchain.model import (
     AbstractCells,
     Duffing,
@@ -74,7 +74,7 @@ def start(x=(2.0, -1.0), v=(0.0, 0.0)):
 @pytest.mark.long
 def test_the_multiplier_of_a_single_sticking_mass_is_zero():
     chain, start = paper_chain(n=1, belt_speed=1.5), (jnp.array([2.2]), jnp.zeros(1))
-    orbit = refine_orbit(chain, start, 6.26, solver=EventDriven())
+    orbit = closed_orbit(chain, start, 6.26, solver=EventDriven())
     assert float(orbit.gap) < 1e-10
     assert complex(orbit.multipliers[0]) == 0
     assert float(orbit.exponents[0]) == float(orbit.highest_exponents[0]) == -np.inf
@@ -145,7 +145,7 @@ def test_equal_masses_that_are_not_coupled_are_periodic():
     assert found.verdict == "periodic", found.reason
     assert found.lead.relaxation_time == np.inf
     assert "neither grow nor decay" in found.reason
-    alone = refine_orbit(
+    alone = closed_orbit(
         paper_chain(1, belt_speed=1.5, width=None), (initial[0][:1], initial[1][:1]), 6.3
     )
     assert found.lead.period == pytest.approx(float(alone.period), rel=1e-9)
@@ -223,7 +223,7 @@ def test_the_multipliers_of_a_symmetric_dry_orbit_hold_though_its_masses_stick_t
     chain = paper_chain(n=5, belt_speed=1.5)
     x, v = equation_8(chain, jnp.array([False, True, True, True, False]))
     run = simulate(chain, (x, v), 1500.0, solver=EventDriven(), rtol=1e-9)
-    orbit = refine_orbit(chain, run.state, 6.2275, solver=EventDriven())
+    orbit = closed_orbit(chain, run.state, 6.2275, solver=EventDriven())
     assert float(orbit.gap) < 1e-10
     assert float(orbit.defect) < 1e-6
     x, _ = orbit.state

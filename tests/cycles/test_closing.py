@@ -5,10 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from systems.orbits import closed_orbit
 
 from jaxchain.boundaries.fold import find_fold
 from jaxchain.cycles.floquet import floquet_multipliers
-from jaxchain.cycles.limit_cycle import find_limit_cycle, refine_orbit
+from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 from jaxchain.simulation.run import simulate
 
@@ -57,7 +58,7 @@ def test_it_is_cut_where_the_belt_lets_go_and_forgets_what_was_before(cycle):
 
 
 def test_it_is_closed_again_from_the_cycle_alone(cycle):
-    orbit = refine_orbit(ONE, cycle.state, cycle.period)
+    orbit = closed_orbit(ONE, cycle.state, cycle.period)
     assert float(orbit.period) == pytest.approx(float(cycle.period), abs=1e-8)
     found = floquet_multipliers(cycle).multipliers
     np.testing.assert_allclose(found, orbit.multipliers, atol=1e-8)
@@ -110,7 +111,7 @@ def test_beyond_the_fold_there_is_no_dry_cycle():
 
 def test_a_moment_of_an_orbit_is_no_cycle():
     """It closes in the limit of no period, which no springs allow."""
-    orbit = refine_orbit(ONE, (jnp.full(1, 0.6), jnp.full(1, 0.5)), 0.1)
+    orbit = closed_orbit(ONE, (jnp.full(1, 0.6), jnp.full(1, 0.5)), 0.1)
     assert float(orbit.period) < 1e-9
     assert np.isinf(orbit.gap)
 
@@ -128,7 +129,7 @@ def test_of_several_masses_one_sticks_and_many_chains_go_at_once():
     assert np.isneginf(scaled_peak_velocity[:, [0, 2]]).all()
     alone = found(three)
     np.testing.assert_allclose(several.period[1], alone.period, rtol=1e-9)
-    orbit = refine_orbit(three, alone.state, alone.period)
+    orbit = closed_orbit(three, alone.state, alone.period)
     np.testing.assert_allclose(orbit.multipliers, alone.multipliers, atol=1e-7)
 
 

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems.orbits import closed_orbit
 from systems.piecewise import PiecewiseLinear, exact_cycle
 
 from jaxchain import (
@@ -15,7 +16,6 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import hopf_points
-from jaxchain.cycles.limit_cycle import refine_orbit
 from jaxchain.cycles.variational import FACTORS, Returned, Returns
 from jaxchain.localization.patterns import locked_patterns, phase_model
 from jaxchain.model import Duffing
@@ -80,13 +80,13 @@ def test_an_orbit_that_is_no_chain_has_its_least_period():
 def test_dry_orbits_are_closed_with_the_least_period():
     chain = paper_chain(1)
     state = simulate(chain, equation_8(chain, 1), 100.0, solver=EventDriven(), rtol=1e-9).state
-    once = refine_orbit(chain, state, 6.31, solver=EventDriven())
+    once = closed_orbit(chain, state, 6.31, solver=EventDriven())
     peaks = simulate(
         chain, once.state, 20.0, solver=EventDriven(), rtol=1e-9, observe=PeakTimes(4)
     ).observed
     assert float(once.period) == pytest.approx(float(peaks[1, 0] - peaks[0, 0]), abs=1e-9)
     for times in (2, 3, 6):
-        orbit = refine_orbit(chain, state, 6.31 * times, solver=EventDriven())
+        orbit = closed_orbit(chain, state, 6.31 * times, solver=EventDriven())
         assert float(orbit.period) == pytest.approx(float(once.period), abs=1e-10)
         assert float(orbit.gap) < 1e-12
         assert float(orbit.distance) == pytest.approx(float(once.distance), abs=1e-3)
@@ -146,11 +146,11 @@ def test_a_forced_orbit_is_refined_at_a_multiple_of_the_period_of_its_force():
     cycle = find_limit_cycle(well, run, period=2 * forced)
     assert cycle.turns == 2
     for times in (1, 2, 3):  # gone round so often
-        orbit = refine_orbit(well, run.state, 2 * times * forced)
+        orbit = closed_orbit(well, run.state, 2 * times * forced)
         assert float(orbit.gap) < 1e-11
         np.testing.assert_allclose(orbit.period, 2 * forced, rtol=1e-12)
         np.testing.assert_allclose(orbit.state, cycle.state, atol=1e-8)
         np.testing.assert_allclose(orbit.multipliers, cycle.multipliers, atol=1e-7)
     # Half of the period is that of another orbit, which is unstable.
-    once = refine_orbit(well, run.state, forced)
+    once = closed_orbit(well, run.state, forced)
     assert not (once.gap < 1e-9 and np.abs(once.multipliers).max() < 1)
