@@ -168,7 +168,8 @@ class Rates(eqx.Module):
         return jnp.concatenate(motion(field, 0.0, y, self.direction))
 
 
-def _residual(u: Array, rates: Rates) -> Array:
+def rest_residual(u: Array, rates: Rates) -> Array:
+    """The rates, which vanish at an equilibrium."""
     return rates(u)
 
 
@@ -341,7 +342,7 @@ def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Eq
 
     sticking, interval = jnp.asarray(False), None
     if fixed.direction is None:
-        root, u = solved(_residual, live, fixed)
+        root, u = solved(rest_residual, live, fixed)
         J = jax.jacfwd(fixed)(root.value)
     else:
         contact, sticking = model.contact, fixed.direction == STICK
@@ -357,7 +358,7 @@ def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Eq
             def at_limit(field: Any) -> Rates:
                 return Rates(field.with_(belt_speed=0.0), m, None, direction)
 
-            root, u = solved(_residual, at_limit(model), at_limit(fixed.field))
+            root, u = solved(rest_residual, at_limit(model), at_limit(fixed.field))
             return if_found(sticking & root.successful, jnp.split(u, m)[contact - m // 2])
 
         interval = jnp.sort(jax.vmap(end)(jnp.array([FORWARD, BACKWARD])), axis=0)
@@ -386,7 +387,7 @@ def equilibria_over(
     def follow(u: Array, p: Array) -> tuple[Array, Any]:
         field = rates.at(None if rates.parameter is None else p)
         at_p = Rates.of(field, rates.m)  # a belt may change its direction
-        root = search(_residual, u, at_p, tolerance, limit, weights)
+        root = search(rest_residual, u, at_p, tolerance, limit, weights)
         return jnp.where(root.successful, root.value, u), root
 
     return lax.scan(follow, start, values)[1]
@@ -477,7 +478,7 @@ def find_hopf_point(
     if frequency is not None:
         check_number("frequency", frequency, "it chooses one of several pairs of eigenvalues.")
     if bounds is not None:
-        bounds = _range_around(model, parameter, bounds)
+        bounds = _range_around(model, parameter, bounds, True)
     found, growth = _hopf_point(
         model, parameter, state, None if bounds is None else jnp.asarray(bounds),
         None if frequency is None else to_float(frequency), to_float(tolerance),
@@ -497,13 +498,15 @@ def find_hopf_point(
     return found
 
 
-def _range_around(model: Any, parameter: str, bounds: Any) -> tuple[float, float]:
+def _range_around(model: Any, parameter: str, bounds: Any, finite: bool) -> tuple[Any, Any]:
+    """(low, high), the range of a parameter around its value in the model."""
     low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
     p = model.value_of(parameter)
-    if not np.isfinite(high - low) or not (is_traced(p) or low <= p <= high):
+    if (finite and not np.isfinite(high - low)) or not (is_traced(p) or low <= p <= high):
+        what = "finite and " if finite else ""
         raise ValueError(
-            f"Argument `bounds` must be finite and around the present value, {parameter} = "
-            f"{shown(p)}, but is {shown(bounds)}: change one of them."
+            f"Argument `bounds` must be {what}around `{parameter}` = {shown(p)} of the model, but "
+            f"is {shown(bounds)}: change one of them, as `model.with_({parameter}={low:.6g})`."
         )
     return low, high
 
@@ -560,7 +563,7 @@ def _hopf_point(
     p = fixed.value_of(parameter)
     y = lax.stop_gradient(jnp.concatenate(guess))
     weights = jnp.full(y.shape, y.shape[0] ** -0.5)
-    y = search(_residual, y, Rates.of(fixed, m), tolerance, limit, weights).value
+    y = search(rest_residual, y, Rates.of(fixed, m), tolerance, limit, weights).value
 
     def nearest(values: Array, far: Array) -> Array:
         return values[jnp.argmin(jnp.where(jnp.imag(values) > 0, far, jnp.inf))]
@@ -689,12 +692,7 @@ def continue_equilibrium(
     as_model(model)
     p = float(as_parameter(model, parameter))
     _check_sliding(model)
-    low, high = check_pair("bounds", bounds, f"it is the range of `{parameter}`.")
-    if not low <= p <= high:
-        raise ValueError(
-            f"Argument `bounds` must be (low, high) around `{parameter}` = {p:.6g} of the chain, "
-            f"but is {(low, high)}: change one of them, as `chain.with_({parameter}={low:.6g})`."
-        )
+    low, high = _range_around(model, parameter, bounds, False)
     check_positive_number("max_step", max_step, "0.02 of the range is usual.")
     state = find_equilibrium(model, guess).state
     rates, start = Rates.of(model, len(state), parameter), np.concatenate(state)

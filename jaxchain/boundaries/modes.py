@@ -26,7 +26,7 @@ from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
 from ..model.provenance import environment, parameters_of
 from ..result import Outcome, SearchResult
-from .equilibria import Rates, equilibria_over, labels_of, near_equilibrium
+from .equilibria import Rates, equilibria_over, labels_of, near_equilibrium, rest_residual
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -297,10 +297,6 @@ def complex_modes(
     )  # fmt: skip
 
 
-def _sliding(u: Array, rates: Rates) -> Array:
-    return rates(u)
-
-
 @eqx.filter_jit
 def _modes(
     model: Any, name: str | None, state: State, values: Array, tolerance: Array, limit: Array
@@ -312,7 +308,7 @@ def _modes(
 
     def matrix(u: Array, p: Array) -> tuple[Array, Array]:
         rates = Rates.of(model if name is None else model.with_(**{name: p}), m)
-        y = attach_derivative(_sliding, u, rates)
+        y = attach_derivative(rest_residual, u, rates)
         return jax.jacfwd(rates)(y), y
 
     def at(u: Array, p: Array) -> tuple[Array, ...]:

@@ -61,6 +61,13 @@ class Sensitivity(NamedTuple):
     complete: Bool[Array, ""]
 
 
+def _plan(solver: Any, observers: Sequence[AbstractObserver], rtol: Any, t1: Any) -> SmoothedPlan:
+    kept = list(observers)
+    return SmoothedPlan(
+        solver=solver, observers=kept, rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP, t1=t1
+    )
+
+
 def forward_sensitivity(
     make: Make,
     point: Float[Array, " m"],
@@ -81,14 +88,7 @@ def forward_sensitivity(
     field, start, time = make(point)
     _, pushed = jax.linearize(lambda point: make(point)[1:], point)
     first, by_time = jax.vmap(pushed)(unit)
-    plan = SmoothedPlan(
-        solver=solver,
-        observers=list(observers),
-        rtol=rtol,
-        atol=0.1 * rtol,
-        max_step=MAX_STEP,
-        t1=jnp.abs(time),
-    )
+    plan = _plan(solver, observers, rtol, jnp.abs(time))
     begun = plan.begin(field, start, 0.0, jnp.abs(time))
     begun = eqx.tree_at(lambda p: p.memory.solver, begun, first, is_leaf=lambda x: x is None)
 
@@ -291,14 +291,7 @@ def flow(
     Forward derivatives are those of the steps with fixed sizes.  A period < 0 runs backward.
     """
     time = jnp.abs(period)
-    plan = SmoothedPlan(
-        solver=solver,
-        observers=list(observers),
-        rtol=rtol,
-        atol=0.1 * rtol,
-        max_step=MAX_STEP,
-        t1=time,
-    )
+    plan = _plan(solver, observers, rtol, time)
     progress = plan.begin(field, state, 0.0, time)
     progress, _ = plan.advance(field, progress, period, max_steps=MOST_STEPS)
     good = progress.result == Result.successful
