@@ -278,8 +278,8 @@ def _linearise(U: Array, q: Any, equations: Any) -> tuple[Array, Array, Any]:
 class SpecialCycle(Outcome):
     """A cycle at a special point, to all digits.
 
-    - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; with dry friction "fold",
-      "grazing fold", "grazing", "release" or "stick onset"; `parameter`: the name of the parameter
+    - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; with dry friction also
+      "grazing fold", "grazing", "release", "stick onset" or "two events"; `parameter`: the name of the parameter
       that was solved for, and `value` its value there.
     - `state`, `period`: of the cycle, as `find_limit_cycle` has them.
     - `residual`: of the equations, after `steps` Jacobians; `result`: the outcome.
@@ -327,10 +327,9 @@ def find_special_cycle(
 
     **Arguments:**
 
-    - `point`: a "fold", "period doubling", "symmetry breaking" or "torus" of
-      `continue_cycle(...).special`, of any model.  With dry friction a `Grazing` of
-      `find_fold`; or a cycle close to a special one, a `LimitCycle` or (state, period).  These
-      last three must not be traced.
+    - `point`: one of those that `continue_special` takes, except "hopf".  With dry friction also a
+      cycle close to a special one, a `LimitCycle` or (state, period).  Such a cycle and a
+      `Grazing` must not be traced.
     - `model`: the model with other parameters, by default the same; its own value of the parameter
       is ignored.  If the search fails, it goes there in steps, unless `model` is traced.
     - `kind`, `mass` (by default that of the cycle), `parameter`, for such a cycle: "grazing" (the
@@ -697,8 +696,8 @@ def continue_special(
     **Arguments:**
 
     - `point`: a "fold", "period doubling", "symmetry breaking", "torus" or "hopf" of
-      `continue_cycle(...).special`, with dry friction a fold or a change of the sequence, or a
-      zero of one of its `events`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
+      `continue_cycle(...).special`, with dry friction also a change of the sequence, or a zero of
+      one of its `events`; a `HopfPoint` of `find_hopf_point`; a `SpecialCycle`; or, with
       dry friction, a `Grazing` of `find_fold`.  Its parameter is the first parameter.
     - `second`: the name of the second parameter, one for all cells.
     - `bounds`: the ranges of both, name -> (low, high), in which the curve stays; it also ends
