@@ -377,12 +377,8 @@ def _in_steps(
     equations: _CycleEquations, model: Any, name: str, U: Array, *settings: Array
 ) -> SpecialCycle:
     """The special cycle of `model`; one that is too far is reached by models in between."""
-    found, begin, done, step = (
-        _find(equations, model, name, U, *settings),
-        equations.field,
-        0.0,
-        0.5,
-    )
+    found = _find(equations, model, name, U, *settings)
+    begin, done, step = equations.field, 0.0, 0.5
     if is_traced(found.successful) or jax.tree.structure(begin) != jax.tree.structure(model):
         return found
     while not found.successful and step > _LEAST_STEP:

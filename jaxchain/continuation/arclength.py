@@ -5,7 +5,7 @@ Methods for Bifurcations of Dynamical Equilibria, SIAM 2000.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -29,7 +29,7 @@ from .._checks import (
 from .._types import ArrayLike, Given, ScalarLike
 from .branch import Branch, BranchRecorder, Point, SpecialPoint
 from .corrector import Corrector
-from .damped_newton import check_vector, check_weights
+from .damped_newton import arrays, check_vector, check_weights
 from .special_points import (
     Located,
     Segment,
@@ -72,21 +72,17 @@ class _Accepted(NamedTuple):
     next_step: float
 
 
+@dataclass
 class BranchWalk:
     """One walk along a branch."""
 
-    def __init__(
-        self,
-        corrector: Corrector,
-        steps: Steps,
-        record: BranchRecorder,
-        bounds: tuple[float, float],
-        tests: dict[str, Test],
-        stop: Callable[..., Any] | None,
-        progress: Callable[[int, Point], Any] | None,
-    ) -> None:
-        self.corrector, self.steps, self.record = corrector, steps, record
-        self.bounds, self.tests, self.stop, self.progress = bounds, tests, stop, progress
+    corrector: Corrector
+    steps: Steps
+    record: BranchRecorder
+    bounds: tuple[float, float]
+    tests: dict[str, Test]
+    stop: Callable[..., Any] | None
+    progress: Callable[[int, Point], Any] | None
 
     def run(self, z: np.ndarray, heading: np.ndarray, max_points: float) -> tuple[str, str]:
         """Follows the branch from a guess to its end: (a key of `ENDINGS`, a reason)."""
@@ -290,7 +286,7 @@ def make_corrector(
     if weights is None:
         weights = default_weights(m)
     w = np.asarray(check_weights(weights, m + 1, "unknown and one for the parameter"))
-    return Corrector(residual, value_and_jacobian, args, w, float(tolerance))
+    return Corrector(residual, value_and_jacobian, arrays(args), w, float(tolerance))
 
 
 def continue_branch(
@@ -410,17 +406,13 @@ def check_steps(
     step: Any, least: Any, greatest: Any, max_turn: Any = 0.25, max_bend: Any = 3e-3
 ) -> Steps:
     """`Steps`, or `ValueError`."""
-    for name, value in {
-        "step": step,
-        "min_step": least,
-        "max_step": greatest,
-        "max_turn": max_turn,
-        "max_bend": max_bend,
-    }.items():
+    names = "step", "min_step", "max_step", "max_turn", "max_bend"
+    values = step, least, greatest, max_turn, max_bend
+    for name, value in zip(names, values, strict=True):
         check_positive_number(name, value)
     check_at_least("step", step, "min_step", least)
     check_at_least("max_step", greatest, "step", step)
-    return Steps(float(step), float(least), float(greatest), float(max_turn), float(max_bend))
+    return Steps(*map(float, values))
 
 
 def _heading(direction: Any, m: int) -> np.ndarray:

@@ -6,7 +6,7 @@ computed if it does not, and at the end for the tangent, the test functions and 
 """
 
 from collections.abc import Callable
-from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from .branch import Counts, Point
-from .damped_newton import Factors, Iterate, advance, arrays, begin, factorise, iterate, size
+from .damped_newton import Factors, Iterate, advance, begin, factorise, iterate, size
 
 # A Jacobian costs about this number of values, so more chord steps are not worthwhile.
 _CHORD_STEPS = 8
@@ -181,6 +181,7 @@ def _correct(
     return point, search.good & jnp.isfinite(length), search.values, search.jacobians
 
 
+@dataclass(eq=False)
 class Corrector:
     """Solves F(u, p, args) = 0 near a guess, normal to a direction, and counts evaluations.
 
@@ -188,20 +189,12 @@ class Corrector:
     and the arrays in `args` keep their shapes.
     """
 
-    def __init__(
-        self,
-        residual: Callable[..., Any],
-        value_and_jacobian: Callable[..., Any] | None,
-        args: PyTree,
-        weights: Float[np.ndarray, " m_plus_1"],
-        tolerance: float,
-    ) -> None:
-        self.residual = residual
-        self.value_and_jacobian = value_and_jacobian
-        self.args = arrays(args)
-        self.weights = weights
-        self.tolerance = tolerance
-        self.counts = Counts()
+    residual: Callable[..., Any]
+    value_and_jacobian: Callable[..., Any] | None
+    args: PyTree
+    weights: Float[np.ndarray, " m_plus_1"]
+    tolerance: float
+    counts: Counts = field(default_factory=Counts)
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """(a, b) = sum weights_i^2 a_i b_i."""
@@ -256,15 +249,11 @@ class Corrector:
     @property
     def sharp(self) -> "Corrector":
         """This corrector at a tight tolerance, with the same counts; it compiles nothing."""
-        tight = copy(self)
-        tight.tolerance = min(self.tolerance, _SHARP)
-        return tight
+        return replace(self, tolerance=min(self.tolerance, _SHARP))
 
     def rough(self, z: np.ndarray, length: float) -> "Corrector":
         """This corrector for points near z whose error may be as great as `length`."""
-        other = copy(self)
-        other.tolerance = max(self.tolerance, length / (1.0 + self.norm(z)))
-        return other
+        return replace(self, tolerance=max(self.tolerance, length / (1.0 + self.norm(z))))
 
     def rounding(self, point: Point) -> float:
         """The rounding error of the numbers of a point, as a length."""
