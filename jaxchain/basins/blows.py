@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, cast
 
 import diffrax as dfx
@@ -12,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import lax
-from jaxtyping import Array, Bool, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import (
     as_array,
@@ -29,6 +30,7 @@ from .._types import ArrayLike, Given, ScalarLike, State
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS
 from ..continuation.implicit import attach_derivative
+from ..continuation.iteration import TrialStep, iterate
 from ..model.arguments import as_chain, as_mass
 from ..model.chain import Chain, steady_sliding
 from ..model.initial_states import reference_site
@@ -369,8 +371,8 @@ def with_derivative(
     return attach_derivative(residual, jnp.reshape(size, 1), (chain, *fixed), once=_ONCE)[0]
 
 
-# The factor by which a rejected step shrinks, and how often it may.
-_SHRINKAGE, _MOST_REFUSED = 0.3, 8
+# How often a step may be rejected.
+_MOST_REFUSED = 8
 # Towards the normal the threshold of a plane falls by half the square of the angle.  Thresholds
 # are computed to this share of the squared angle, within these limits.
 _SHARE, _FINE, _COARSE = 0.03, 1e-11, 1e-3
@@ -396,11 +398,8 @@ class Descended(eqx.Module):
     precision: Float[Array, ""]  # of the size, relative
     angle: Float[Array, ""]
     normal: Float[Array, " m"]
-    step: Float[Array, " m"]  # from there
-    length: Float[Array, ""]
-    state: PyTree  # of the optimiser
-    refused: Int[Array, ""]
-    count: Int[Array, ""]
+    trial: TrialStep
+    ended: SearchResult
 
 
 def search(
@@ -420,17 +419,15 @@ def search(
     chunks, lanes, _ = starts.shape
 
     def fresh(start: Array) -> Descended:
-        infinite, none = jnp.asarray(jnp.inf), jnp.zeros((), int)
-        begin = optax.with_extra_args_support(optimiser).init(start)
-        zero = jnp.zeros_like(start)
-        one = jnp.ones(())
-        return Descended(start, infinite, one, infinite, start, zero, one, begin, none, none)
+        infinite, one, none = jnp.asarray(jnp.inf), jnp.ones(()), SearchResult.max_steps_reached
+        trial = TrialStep.first(optimiser, start)
+        return Descended(start, infinite, one, infinite, start, trial, none)
 
     def chunk(best: Descended, number: Array) -> tuple[Descended, Array]:
         last = number == chunks
         begins = jax.vmap(fresh)(starts[jnp.minimum(number, chunks - 1)])
         begin = where(last, best, begins)
-        begin = eqx.tree_at(lambda d: (d.count, d.refused), begin, replace_fn=jnp.zeros_like)
+        begin = eqx.tree_at(lambda d: d.trial.refused, begin, replace_fn=jnp.zeros_like)
         until = jnp.where(last, tolerance, jnp.maximum(_ANGLE_APART, tolerance))
         fine = jnp.where(last, 10.0 * _FINE, 1.0)
         ends = jax.vmap(lambda d: descend(trials, embed, d, steps, until, fine, optimiser))(begin)
@@ -461,23 +458,27 @@ def descend(
     """
     transform: Any = optax.with_extra_args_support(optimiser)
 
-    def going(now: Descended) -> Array:
-        hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
-        # No threshold along the start: nothing to descend.
-        lost = jnp.isinf(now.size) & (now.count > 0)
-        arrived = (now.angle <= tolerance) & (now.precision <= fine)
-        return hopeful & ~arrived & ~lost
+    of = SearchResult
 
-    def round_(now: Descended) -> Descended:
-        first, wanted = jnp.isinf(now.angle), going(now)
+    def ended(now: Descended) -> SearchResult:
+        stalled = of.where(now.angle <= NEARLY, of.successful, of.no_step_helps)
+        result = of.where(now.trial.refused < _MOST_REFUSED, of.max_steps_reached, stalled)
+        # No threshold along the start: nothing to descend.
+        lost = jnp.isinf(now.size) & (now.trial.refused > 0)
+        arrived = (now.angle <= tolerance) & (now.precision <= fine)
+        return of.where(arrived | lost, of.successful, result)
+
+    def round_(now: Descended, count: Array) -> Descended:
+        first, trial = jnp.isinf(now.angle), now.trial
+        wanted = (ended(now) == of.max_steps_reached) & (count < steps)
         # Where the angle is small enough, only the size is refined once more.
         same = now.angle <= tolerance
-        u = now.direction + jnp.where(same, 0.0, now.length) * now.step
+        u = now.direction + jnp.where(same, 0.0, trial.length) * trial.step
         u = u / jnp.sqrt(jnp.sum(u**2))
         # The threshold of the tangent plane of the edge at the best point so far.
         plane = now.size * jnp.sum(now.normal * now.direction) / jnp.sum(now.normal * u)
         guess, share = upwards(trials)
-        bend = jnp.clip(_BENT * (now.length * now.angle) ** 2, _LEAST_BEND, _MOST_BEND)
+        bend = jnp.clip(_BENT * (trial.length * now.angle) ** 2, _LEAST_BEND, _MOST_BEND)
         guess, share = jnp.where(first, guess, plane), jnp.where(first, share, bend)
         share = jnp.where(same, now.precision, share)
         precision = jnp.clip(_SHARE * now.angle**2, _FINE, _COARSE)
@@ -492,23 +493,17 @@ def descend(
         tangent = z - along * u
         angle = jnp.arctan2(jnp.sqrt(jnp.sum(tangent**2)), along)
         slope = -tangent / along
-        step, state = transform.update(slope, now.state, u, value=jnp.log(edge.high), grad=slope)
-        far = jnp.sqrt(jnp.sum(step**2))
-        step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.where(far > 0, far, 1.0))
+        value = jnp.log(edge.high)
+        step, memory = transform.update(slope, trial.memory, u, value=value, grad=slope)
+        step = step * jnp.minimum(1.0, _LONGEST_STEP / jnp.sqrt(jnp.sum(step**2)))
         sound = good & jnp.isfinite(angle) & jnp.all(jnp.isfinite(step))
         # After a rejected step the next one stays shorter.
-        longer, none = jnp.minimum(1.0, 2.0 * now.length), jnp.zeros((), int)
-        taken = Descended(
-            u, edge.high, precision, angle, z, step, longer, state, none, now.count + 1
-        )
-        refused = eqx.tree_at(
-            lambda d: (d.length, d.refused, d.count),
-            now,
-            (_SHRINKAGE * now.length, now.refused + 1, now.count + 1),
-        )
-        return where(sound, taken, refused)
+        trial = trial.after(sound, step, memory, jnp.minimum(1.0, 2.0 * trial.length))
+        taken = Descended(u, edge.high, precision, angle, z, trial, now.ended)
+        return where(sound, taken, replace(now, trial=trial))
 
-    return lax.while_loop(going, round_, begin)
+    last, result, _ = iterate(round_, begin, ended, steps)
+    return replace(last, ended=result)
 
 
 def some_starts(m: int, equal: bool, random: int) -> Float[np.ndarray, "chunks lanes m"]:
@@ -746,12 +741,9 @@ def _over(
         if equal:
             u = jnp.roll(u, reference_site(n) - jnp.argmax(jnp.abs(u)))
         edge = threshold(trials, u, end.size, _NEARBY, _PRECISION)
-        of = SearchResult
-        stalled = end.count < steps
-        ended = of.where(stalled, of.no_step_helps, of.max_steps_reached)
-        near = (end.angle <= tolerance) | (stalled & (end.angle <= NEARLY))
-        # If nothing vibrates, there is no angle.
-        ended = of.where(near | jnp.isinf(end.size), of.successful, ended)
+        # The last step may be missing, which only refines the size.
+        arrived = end.angle <= tolerance
+        ended = SearchResult.where(arrived, SearchResult.successful, end.ended)
         return _certified(trials, u, edge, end.angle, sizes, ended)
 
     def another(key: Array, u: Array) -> Array:
@@ -775,17 +767,17 @@ def _with_longer_runs(
     """The first attempt that its runs confirm, with more patience in each attempt."""
     trials = Trials.of(chain)
 
-    def going(now: tuple[Array, _Attempt]) -> Array:
-        level, last = now
-        wanted = (level == 0) | ~(last.holds() | last.none())
-        return wanted & (level < LEVELS) & ((level == 0) | (trials.rate > 0))
+    def ended(last: _Attempt) -> SearchResult:
+        of = SearchResult
+        return of.where(last.holds() | last.none(), of.successful, of.max_steps_reached)
 
-    def once_more(now: tuple[Array, _Attempt]) -> tuple[Array, _Attempt]:
-        return now[0] + 1, attempt(trials.with_longer_runs(now[0]))
+    def longer(_: _Attempt, level: Array) -> _Attempt:
+        return attempt(trials.with_longer_runs(level))
 
     shapes = eqx.filter_eval_shape(attempt, trials)
     nothing = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
-    levels, last = lax.while_loop(going, once_more, (jnp.zeros((), int), nothing))
+    limit = jnp.where(trials.rate > 0, LEVELS, 1)
+    last, _, levels = iterate(longer, nothing, ended, limit)
     patient = trials.with_longer_runs(levels - 1)
     size = 0.5 * (last.threshold.low + last.threshold.high)
     # If nothing was found, differentiate the kick without a run.

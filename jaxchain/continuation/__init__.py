@@ -9,6 +9,7 @@
 - `fold_points`: folds as roots of a system bordered by one equation
 - `gradient_descent`: descent with any optax optimiser, in one compiled loop
 - `implicit`: derivatives by the implicit function theorem
+- `iteration`: the loop of a search, and steps that are shortened until one is accepted
 - `special_points`: folds, branch points and zeros between two points of a branch
 """
 

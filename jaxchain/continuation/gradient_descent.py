@@ -23,6 +23,7 @@ from .._checks import (
 )
 from .._types import Given, ScalarLike
 from ..result import Outcome, SearchResult
+from .iteration import iterate
 
 
 class Descent(Outcome):
@@ -99,14 +100,9 @@ def stay_inside(
     pull = _multipliers(matrix / size[:, None] / size[None, :], lack)
     step = step + across @ (pull / size)
 
-    def crosses(length: Array) -> Array:
-        return ~jnp.all(margins(x + length * step) >= 0)
-
-    shorter = 0.5 ** jnp.arange(_HALVINGS)
-    length = lax.while_loop(
-        lambda k: (k < _HALVINGS) & crosses(shorter[k]), lambda k: k + 1, jnp.zeros((), int)
-    )
-    return jnp.where(length < _HALVINGS, shorter[length], 0.0) * step, pull > 0
+    lengths = jnp.append(0.5 ** jnp.arange(_HALVINGS), 0.0)
+    ends_inside = jax.vmap(lambda length: jnp.all(margins(x + length * step) >= 0))(lengths)
+    return lengths[jnp.argmax(ends_inside.at[-1].set(True))] * step, pull > 0
 
 
 def _multipliers(matrix: Float[Array, "q q"], lack: Float[Array, " q"]) -> Float[Array, " q"]:
@@ -180,29 +176,27 @@ def descend(
     transform = optax.with_extra_args_support(optimiser)
     gradient = jax.value_and_grad(value)
 
-    # (x, loss, gradient, optimiser's state, updates made, path, losses)
-    def going(carry: Any) -> Any:
-        x, now, _, _, k, _, _ = carry
-        finite = jnp.isfinite(now) & jnp.all(jnp.isfinite(x))
-        return (k < steps) & (now > tolerance) & finite
+    # (x, loss, gradient, optimiser's state, path, losses)
+    def ended(carry: Any) -> SearchResult:
+        x, now, *_ = carry
+        finite, of = jnp.isfinite(now) & jnp.all(jnp.isfinite(x)), SearchResult
+        result = of.where(finite, of.max_steps_reached, of.nonfinite)
+        return of.where(now <= tolerance, of.successful, result)
 
-    def update(carry: Any) -> Any:
-        x, now, slope, state, k, path, losses = carry
+    def update(carry: Any, k: Array) -> Any:
+        x, now, slope, state, path, losses = carry
         change, state = transform.update(slope, state, x, value=now, grad=slope, value_fn=value)
         if margins is not None:
             change, _ = stay_inside(edges, x, jnp.asarray(change))
         x = jnp.asarray(optax.apply_updates(x, change))
         now, slope = gradient(x)
-        return x, now, slope, state, k + 1, path.at[k + 1].set(x), losses.at[k + 1].set(now)
+        return x, now, slope, state, path.at[k + 1].set(x), losses.at[k + 1].set(now)
 
     now, slope = gradient(flat)
     path = jnp.full((steps + 1, flat.size), jnp.nan).at[0].set(flat)
     losses = jnp.full(steps + 1, jnp.nan).at[0].set(now)
-    first = (flat, now, slope, transform.init(flat), jnp.asarray(0), path, losses)
-    x, now, _, _, k, path, losses = lax.while_loop(going, update, first)
-    of = SearchResult
-    result = of.where(k < steps, of.nonfinite, of.max_steps_reached)
-    result = of.where(now <= tolerance, of.successful, result)
+    first = (flat, now, slope, transform.init(flat), path, losses)
+    (x, now, _, _, path, losses), result, k = iterate(update, first, ended, steps)
     return Descent(
         solution=unravel(x),
         loss=now,

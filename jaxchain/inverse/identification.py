@@ -28,7 +28,8 @@ from .._checks import (
 from .._final import final
 from .._types import Given, ScalarLike
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import MOST_STEPS, stay_inside, unknowns
+from ..continuation.gradient_descent import MOST_STEPS, stay_inside
+from ..continuation.iteration import iterate
 from ..model.arguments import as_state
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
@@ -39,11 +40,10 @@ from .measurements import (
     Waveform,
     above_floor,
     at_edges,
-    check_change,
+    begin_search,
     check_measurements,
     in_noise,
     predict,
-    search_floor,
 )
 
 # Levenberg-Marquardt: damping at first, its factors after success and failure, and its bounds.
@@ -132,7 +132,6 @@ class _Fit(eqx.Module):
     damping: Float[Array, ""]
     gain: Float[Array, ""]  # of chi^2, expected of the next step
     slow: Int[Array, ""]  # predictions in a row that did not lower chi^2 by much
-    count: Int[Array, ""]
 
 
 def identify(
@@ -191,10 +190,8 @@ def identify(
     check_measurements(measurements)
     check_whole("steps", steps, 1, MOST_STEPS)
     check_whole("starts", starts)
-    flat, unravel = unknowns(start)
-    check_change(change, chain, unravel(flat))
-    problem = _FitProblem(chain, measurements, change, mass, unravel)
-    problem = problem.with_floor(flat)
+    flat, unravel, floor = begin_search(chain, change, start)
+    problem = _FitProblem(chain, measurements, change, mass, unravel, floor)
     draws = np.random.default_rng(0).standard_normal((starts, flat.size))
     draws[0] = 0.0
     fit, hints = _best_fit(problem, flat, _SPREAD * jnp.asarray(draws) * flat[None, :], steps)
@@ -209,17 +206,13 @@ class _FitProblem(eqx.Module):
     change: Callable[[Chain, Any], Chain]
     mass: int = eqx.field(static=True)
     unravel: Callable[[Array], Any] = eqx.field(static=True)
+    floor: Float[Array, " q"]  # see `begin_search`
     # The period of a signal, NaN for that of the chain: phases need not be followed.  With a start
     # the time up to which it is fitted, NaN for all.
     clock: Array = eqx.field(default_factory=lambda: jnp.asarray(jnp.nan))
     # A number of theta that is not fitted: its index and value.
     fixed_index: int | None = eqx.field(static=True, default=None)
     value: Array | None = None
-    floor: Any = None  # see `search_floor`
-
-    def with_floor(self, theta: Array) -> _FitProblem:
-        """The problem of a search that begins at this theta."""
-        return replace(self, floor=search_floor(self.change(self.chain, self.unravel(theta))))
 
     def margins(self, z: Array) -> Float[Array, " q"]:
         """How far inside its domain each number is."""
@@ -355,16 +348,16 @@ def profile(
     check_whole("points", points, 3)
     check_share("confidence", confidence, "0.95 is usual.")
     check_whole("steps", steps, 1, MOST_STEPS)
-    flat, unravel = unknowns(found.theta)
-    check_change(change, chain, unravel(flat))
+    flat, unravel, floor = begin_search(chain, change, found.theta)
     check_whole("place", place, 0, flat.size - 1, "it is the place of a number in theta.")
     if not is_traced(found) and not found.determined[place]:
         raise ValueError(
             f"Argument `place` = {place} must be that of a number that the data determine, but "
             "others can compensate it: fix one of them."
         )
-    problem = _FitProblem(chain, measurements, change, mass, unravel).with_floor(flat)
-    problem = replace(problem, fixed_index=int(place))
+    problem = _FitProblem(
+        chain, measurements, change, mass, unravel, floor, fixed_index=int(place)
+    )
     return _profile(problem, found, flat, to_float(reach), points, to_float(confidence), steps)
 
 
@@ -479,14 +472,17 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
 
         return move, gain, bent, curved
 
-    def going(now: _Fit) -> Array:
-        # The start itself has no gain yet; a start that predicts nothing ends the search.
-        sound = jnp.all(jnp.isfinite(now.residuals)) | (now.count == 0)
-        sound &= (now.slow < _PATIENCE) | (jnp.sum(now.residuals**2) < _HOPELESS * m)
-        return sound & (now.count < steps) & (now.gain > enough) & (now.damping < _GREATEST)
+    def ended(now: _Fit) -> SearchResult:
+        of = SearchResult
+        hopeful = (now.slow < _PATIENCE) | (jnp.sum(now.residuals**2) < _HOPELESS * m)
+        hopeful &= (now.gain > enough) & (now.damping < _GREATEST)
+        result = of.where(hopeful, of.max_steps_reached, of.no_step_helps)
+        # Of a start that predicts nothing.
+        result = of.where(jnp.all(jnp.isfinite(now.residuals)), result, of.nonfinite)
+        return of.where(now.gain <= enough, of.successful, result)
 
-    def body(now: _Fit) -> _Fit:
-        first = now.count == 0
+    def body(now: _Fit, count: Array) -> _Fit:
+        first = count == 0
         move, _, _, curved = step(now)
 
         # A signal is predicted a part of the way ahead, too: by the same program, in a loop, for
@@ -507,27 +503,20 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         slow = jnp.where(first | (sound & (share < 1.0 - _SHARE)), 0, now.slow + 1)
         damping = jnp.where(good, jnp.maximum(_LESS * now.damping, _LEAST), _MORE * now.damping)
         damping = jnp.where(first, _FIRST, damping)
-        new = _Fit(trial, residuals, slopes, further, damping, infinite, slow, now.count + 1)
-        old = replace(now, damping=damping, gain=infinite, slow=slow, count=now.count + 1)
+        new = _Fit(trial, residuals, slopes, further, damping, infinite, slow)
+        old = replace(now, damping=damping, gain=infinite, slow=slow)
         taken = where(good, new, old)
         # Judged with little damping, so that a short step does not count as convergence.
         gain = step(eqx.tree_at(lambda f: f.damping, taken, jnp.asarray(_LEAST)))[1]
         return eqx.tree_at(lambda f: f.gain, taken, gain)
 
-    none = jnp.zeros((), int)
-    blank = _Fit(
-        start, jnp.zeros(m), jnp.zeros((m, p)), jnp.zeros(2), jnp.asarray(_FIRST), infinite, none,
-        none,
-    )  # fmt: skip
-    last = lax.while_loop(going, body, blank)
+    first, none = jnp.asarray(_FIRST), jnp.zeros((), int)
+    blank = _Fit(start, jnp.zeros(m), jnp.zeros((m, p)), jnp.zeros(2), first, infinite, none)
+    last, result, count = iterate(body, blank, ended, steps)
     bent = step(eqx.tree_at(lambda f: f.damping, last, jnp.asarray(_LEAST)))[2]
 
     covariance, correlation, determined, condition = _curvature(last.slopes)
     own = slice(p - problem.extra)
-    of = SearchResult
-    result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
-    result = of.where(jnp.all(jnp.isfinite(last.residuals)), result, of.nonfinite)
-    result = of.where(last.gain <= enough, of.successful, result)
     errors = jnp.where(determined, jnp.sqrt(jnp.diagonal(covariance)), jnp.inf)
     theta, chain = problem.at(last.z)
     bent = bent & jnp.all(jnp.isfinite(last.residuals))
@@ -546,7 +535,7 @@ def _fit(problem: _FitProblem, start: Array, steps: int) -> tuple[Identification
         offset=last.further[0],
         at_edge=at_edges(chain, bent),
         result=result,
-        evaluations=last.count,
+        evaluations=count,
     )
     return fit, last.z, _hints(problem, last, bent)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal, get_args
 
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 from scipy.linalg import eigvalsh
 
 from .._checks import (
@@ -30,6 +31,7 @@ from .._final import final
 from .._types import ArrayLike, Given, ScalarLike
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
+from ..continuation.gradient_descent import unknowns
 from ..cycles.limit_cycle import LimitCycle, find_limit_cycle
 from ..model.arguments import as_state
 from ..model.chain import Chain, margins, steady_sliding
@@ -350,17 +352,24 @@ def check_measurements(measurements: Any) -> None:
     check_kind("measurements", measurements, kinds, "`Measurements` or a `Signal`", remedy)
 
 
-def check_change(change: Any, chain: Chain, theta: Any) -> None:
-    """Raises `ValueError` unless `change` makes a chain of a chain and these unknowns."""
+def begin_search(
+    chain: Chain, change: Any, start: PyTree
+) -> tuple[Float[Array, " p"], Callable[[Array], PyTree], Float[Array, " q"]]:
+    """(the numbers of `start` as a vector, the way back, `_floor` of their chain).
+
+    Raises `ValueError` unless `change` makes a chain of a chain and these unknowns.
+    """
+    flat, unravel = unknowns(start)
     check_function("change", change, "chain, theta -> the chain with these numbers", 2)
     try:
-        made = change(chain, theta)
+        made = change(chain, unravel(flat))
     except ValueError as error:
         raise ValueError(f"Argument `start` makes no chain. {error}") from error
     check_kind("change", made, Chain, "a function that returns a `Chain`", "see `Chain.with_`.")
+    return flat, unravel, _floor(made)
 
 
-def search_floor(chain: Chain) -> Float[Array, " q"]:
+def _floor(chain: Chain) -> Float[Array, " q"]:
     """What the margins of a search that begins at `chain` stay above, -inf where it is outside.
 
     Of a number that must be positive it is a share of the first one: next to 0 laws are stiff.
@@ -375,7 +384,7 @@ def search_floor(chain: Chain) -> Float[Array, " q"]:
 
 
 def above_floor(chain: Chain, floor: Float[Array, " q"]) -> Float[Array, " q"]:
-    """The margins of a search, at least 0 inside: see `search_floor`."""
+    """The margins of a search, at least 0 inside: see `_floor`."""
     finite = jnp.isfinite(floor)
     return jnp.where(finite, ravel_pytree(margins(chain))[0] - jnp.where(finite, floor, 0.0), 1.0)
 
@@ -438,15 +447,8 @@ def predict(
         return eqx.tree_at(lambda c: c.belt_speed, chain, speed)
 
     def amplitude(speed: Array) -> Array:
-        run = simulate(
-            at(speed),
-            on_the_belt(at(speed), mass),
-            _SPAN,
-            observe=Amplitude(window=_WINDOW),
-            solver=EventDriven(_ORDER) if chain.dry else None,
-            rtol=_RTOL,
-            throw=False,
-        ).observed
+        start = on_the_belt(at(speed), mass)
+        run = _run(at(speed), start, _SPAN, Amplitude(window=_WINDOW))
         return jnp.where(active(run, speed)[mass], run[mass], jnp.nan)
 
     def displacement(speed: Array) -> Array:
@@ -484,26 +486,36 @@ def _along(chain: Chain, signal: Signal, mass: int) -> Float[Array, " m"]:
     times = signal.times - signal.times[0]
     state = as_state(chain, signal.start, "measurements.start")
     x, v = _run(chain, state, times[-1], Trajectory(times))
-    if signal.what != "friction_force":
-        return (x if signal.what == "displacement" else v)[:, mass]
 
-    def friction(x: Array, v: Array) -> Array:
+    def shown(x: Array, v: Array) -> Array:
         w = v - chain.belt_speed
-        if not chain.dry:
-            return chain.load * chain.friction.force(w)
         # Unlike in a cycle, it may be faster than the belt.
-        slides = -jnp.sign(w) * chain.load * chain.law.coefficient(jnp.abs(w))
-        return jnp.where(jnp.abs(w) < _STICKING, -chain.free_force(x, v), slides)
+        friction = _friction(chain, x, v, jnp.abs(w) < _STICKING, -jnp.sign(w))
+        return _part(signal.what, x, v, friction)[mass]
 
-    return jax.vmap(friction)(x, v)[:, mass]
+    return jax.vmap(shown)(x, v)
 
 
-def _run(chain: Chain, state: Any, time: Array, observe: Any) -> Any:
+def _run(chain: Chain, state: Any, time: Any, observe: Any) -> Any:
     """What is observed of a run."""
     solver = EventDriven(_ORDER) if chain.dry else None
     how = {"observe": observe, "solver": solver, "rtol": _RTOL, "throw": False}
     how["max_steps"] = _MOST_STEPS
     return simulate(chain, state, time, **how).observed
+
+
+def _friction(chain: Chain, x: Array, v: Array, sticks: Any, direction: Any) -> Array:
+    """The force of the belt on each mass, and its `direction` on those that slide."""
+    w = v - chain.belt_speed
+    if not chain.dry:
+        return chain.load * chain.friction.force(w)
+    slides = direction * chain.load * chain.law.coefficient(jnp.abs(w))
+    return jnp.where(sticks, -chain.free_force(x, v), slides)
+
+
+def _part(what: str, x: Array, v: Array, friction: Array) -> Array:
+    """What a signal shows of each mass."""
+    return {"displacement": x, "velocity": v, "friction_force": friction}[what]
 
 
 class Waveform(eqx.Module):
@@ -570,21 +582,14 @@ class Waveform(eqx.Module):
         self, x: Float[Array, " n"], v: Float[Array, " n"], sticks: bool
     ) -> tuple[Array, Array]:
         """What is shown of a state, and its rate."""
-        chain, one = self.chain, self.mass
+        chain = self.chain
 
         def friction(x: Array, v: Array) -> Array:
-            if sticks:
-                return -chain.free_force(x, v)
-            if not chain.dry:
-                return chain.load * chain.friction.force(v - chain.belt_speed)
             # Where it lands and leaves, too, the mass is slower than the belt.
-            mu = chain.law.coefficient(jnp.abs(v - chain.belt_speed))
-            return chain.belt_direction() * chain.load * mu
+            return _friction(chain, x, v, sticks, chain.belt_direction())
 
         def shown(x: Array, v: Array) -> Array:
-            if self.what == "friction_force":
-                return friction(x, v)[one]
-            return (x if self.what == "displacement" else v)[one]
+            return _part(self.what, x, v, friction(x, v))[self.mass]
 
         rate = v, chain.free_force(x, v) + friction(x, v)
         return jax.jvp(shown, (x, v), rate)

@@ -10,7 +10,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optax
-from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -27,14 +26,15 @@ from .._types import ArrayLike, Given, ScalarLike
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.ranges import StabilityRange, stability_range
 from ..continuation.damped_newton import where
-from ..continuation.gradient_descent import check_descent, stay_inside, unknowns
+from ..continuation.gradient_descent import check_descent, stay_inside
+from ..continuation.iteration import TrialStep, iterate
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
 from ..result import Outcome, SearchResult
-from .measurements import above_floor, at_edges, check_change, search_floor
+from .measurements import above_floor, at_edges, begin_search
 
-# Longest step, in units of `scale`; the factor by which a rejected step shrinks, and how often.
-_LONGEST, _SHRINKAGE, _MOST_REFUSED = 0.3, 0.3, 12
+# Longest step, in units of `scale`, and how often it may be rejected.
+_LONGEST, _MOST_REFUSED = 0.3, 12
 _ARMIJO, _ROUNDING = 1e-4, 1e-10
 # The penalty in units of 1 / |grad g|^2, and its growth if g does not fall to a quarter.
 _PENALTY, _GROWTH, _ENOUGH = 10.0, 4.0, 0.25
@@ -102,15 +102,11 @@ class _DesignPoint(eqx.Module):
 
 class _DesignSearch(eqx.Module):
     best: _DesignPoint
-    step: Float[Array, " m"]  # from there
-    length: Float[Array, ""]
-    state: PyTree  # of the optimiser
+    trial: TrialStep
     last_multiplier: Float[Array, ""]  # lambda
     penalty: Float[Array, ""]  # rho; NaN before the first point
     missing: Float[Array, ""]  # |m - lambda| / rho when lambda was last set
     residual: Float[Array, ""]
-    refused: Int[Array, ""]
-    count: Int[Array, ""]
     path: Float[Array, "steps m"]
     costs: Float[Array, " steps"]
     aims: Float[Array, " steps"]
@@ -194,8 +190,7 @@ def design(
     check_positive_number("tolerance", tolerance, "1e-6 is usual.")
     if cost is not None:
         check_function("cost", cost, "theta -> a number", 1)
-    flat, unravel = unknowns(start)
-    check_change(change, chain, unravel(flat))
+    flat, unravel, floor = begin_search(chain, change, start)
     if scale is None:
         units = jnp.where(flat == 0, 1.0, jnp.abs(flat))
     else:
@@ -208,7 +203,6 @@ def design(
             )
         units = jnp.broadcast_to(changes, flat.shape)
     hit = None if mass is None else (index,)
-    floor = search_floor(change(chain, unravel(flat)))
     problem = _DesignProblem(
         chain, flat, units, to_float(target), floor, change, cost, index, hit, name, unravel
     )
@@ -228,7 +222,7 @@ class _DesignProblem(eqx.Module):
     start: Float[Array, " m"]
     scale: Float[Array, " m"]
     target: Float[Array, ""]
-    floor: Float[Array, " q"]  # see `search_floor`
+    floor: Float[Array, " q"]  # see `begin_search`
     change: Callable[[Chain, Any], Chain]
     cost_function: Callable[[Any], Any] | None
     mass: int = eqx.field(static=True)
@@ -289,15 +283,17 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
     transform: Any = optax.with_extra_args_support(optimiser)
     size = problem.start.size
     zero, infinite = jnp.zeros(size), jnp.asarray(jnp.inf)
-    nothing = jnp.zeros((), int)
     blank = _DesignPoint(zero, infinite, infinite, zero, zero, infinite, problem.unknown())
 
-    def going(now: _DesignSearch) -> Array:
-        hopeful = (now.refused < _MOST_REFUSED) & (now.count < steps)
-        return hopeful & (now.residual > tolerance)
+    def ended(now: _DesignSearch) -> SearchResult:
+        of, refused = SearchResult, now.trial.refused
+        result = of.where(refused < _MOST_REFUSED, of.max_steps_reached, of.no_step_helps)
+        unknown = jnp.isinf(now.best.cost) & (refused > 0)
+        result = of.where(unknown, of.nonfinite, result)
+        return of.where(now.residual <= tolerance, of.successful, result)
 
-    def round_(now: _DesignSearch) -> _DesignSearch:
-        trial = problem.point(now.best.z + now.length * now.step)
+    def round_(now: _DesignSearch, count: Array) -> _DesignSearch:
+        trial = problem.point(now.best.z + now.trial.length * now.trial.step)
         first = jnp.isinf(now.best.cost)
         steepness = jnp.sum(trial.g_slope**2)
         scaled = _PENALTY / jnp.where(steepness > 0, steepness, 1.0)
@@ -305,9 +301,10 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         value, slope = trial.lagrangian(now.last_multiplier, penalty)
         before, before_slope = now.best.lagrangian(now.last_multiplier, penalty)
         # A step of an optimiser with momentum may increase the loss: accept it.
-        descent = jnp.minimum(now.length * jnp.sum(before_slope * now.step), 0.0)
+        slant = jnp.sum(before_slope * now.trial.step)
+        descent = jnp.minimum(now.trial.length * slant, 0.0)
         limit = before + _ARMIJO * descent + _ROUNDING * (1.0 + jnp.abs(before))
-        uphill = jnp.sum(before_slope * now.step) >= 0
+        uphill = slant >= 0
         sound = jnp.isfinite(value) & jnp.all(jnp.isfinite(slope))
         good = sound & (first | uphill | (value <= limit))
 
@@ -324,47 +321,36 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         new_penalty = jnp.where(slow, _GROWTH * penalty, penalty)
         value, slope = best.lagrangian(last_multiplier, new_penalty)
         # Another Lagrangian: restart the optimiser.
-        memory = where(renew, transform.init(zero), now.state)
+        memory = where(renew, transform.init(zero), now.trial.memory)
         step, memory = transform.update(slope, memory, best.z, value=value, grad=slope)
-        longest = jnp.max(jnp.abs(step))
-        step = step * jnp.minimum(1.0, _LONGEST / jnp.where(longest > 0, longest, 1.0))
-        within, _ = stay_inside(problem.margins, best.z, step)
+
+        def inside(step: Array) -> Array:
+            step = step * jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(step)))
+            return stay_inside(problem.margins, best.z, step)[0]
+
         # An edge may turn a step of the optimiser uphill, but not one along the gradient.
-        steepest, _ = stay_inside(
-            problem.margins, best.z, -slope * jnp.minimum(1.0, _LONGEST / jnp.max(jnp.abs(slope)))
-        )
+        within, steepest = inside(step), inside(-slope)
         turned = (jnp.sum(slope * step) < 0) & (jnp.sum(slope * within) >= 0)
         step = jnp.where(turned, steepest, within)
         return _DesignSearch(
             best=best,
-            step=jnp.where(good, step, now.step),
-            length=jnp.where(good, 1.0, _SHRINKAGE * now.length),
-            state=where(good, memory, now.state),
+            trial=now.trial.after(good, step, memory),
             last_multiplier=last_multiplier,
             penalty=new_penalty,
             missing=jnp.where(renew, missing, now.missing),
             residual=jnp.where(good, jnp.maximum(off, missing), now.residual),
-            refused=jnp.where(good, 0, now.refused + 1),
-            count=now.count + 1,
-            path=now.path.at[now.count].set(problem.theta(trial.z)),
-            costs=now.costs.at[now.count].set(trial.cost),
-            aims=now.aims.at[now.count].set(trial.aim),
+            path=now.path.at[count].set(problem.theta(trial.z)),
+            costs=now.costs.at[count].set(trial.cost),
+            aims=now.aims.at[count].set(trial.aim),
         )
 
     path, record = jnp.full((steps, size), jnp.nan), jnp.full(steps, jnp.nan)
-    last = lax.while_loop(
-        going,
-        round_,
-        _DesignSearch(blank, zero, jnp.ones(()), transform.init(zero), jnp.zeros(()), jnp.ones(()),
-                infinite, infinite, nothing, nothing, path, record, record),
-    )  # fmt: skip
+    begin = TrialStep.first(transform, zero), jnp.zeros(()), jnp.ones(()), infinite, infinite
+    search = _DesignSearch(blank, *begin, path, record, record)
+    last, result, evaluations = iterate(round_, search, ended, steps)
     best = last.best
     _, slope = best.lagrangian(last.last_multiplier, last.penalty)
     _, bent = stay_inside(problem.margins, best.z, -slope)
-    of = SearchResult
-    result = of.where(last.count < steps, of.no_step_helps, of.max_steps_reached)
-    result = of.where(jnp.isfinite(best.cost), result, of.nonfinite)
-    result = of.where(last.residual <= tolerance, of.successful, result)
     return Design(
         theta=problem.unravel(problem.theta(best.z)),
         chain=problem.chain_at(best.z),
@@ -375,7 +361,7 @@ def _solve(problem: _DesignProblem, optimiser: Any, steps: int, tolerance: Array
         angle=_angle(best.cost_slope, -best.g_slope),
         residual=last.residual,
         result=result,
-        evaluations=last.count,
+        evaluations=evaluations,
         at_edge=at_edges(problem.chain_at(best.z), bent),
         path=jax.vmap(problem.unravel)(last.path),
         costs=last.costs,
