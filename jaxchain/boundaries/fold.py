@@ -38,7 +38,7 @@ from .._types import Given, PerMass, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import where
 from ..continuation.elimination import solve
-from ..continuation.fold_points import fold_residual
+from ..continuation.fold_points import fold_residual, null_vectors
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import dry_summits, fold_guess, one_mass, speed_scale, usual_peak_velocity
 from ..cycles.shooting import Shooting
@@ -657,13 +657,11 @@ def find_fold(chain: Given[Chain], mass: Given[int | None] = None) -> Fold | Gra
 def _fold(chain: Chain, mass: int, start: FoldGuess, search_end: FoldSearch) -> Fold:
     """The fold with the derivatives of its cycle."""
     shooting = _shooting_of(chain, start)
-    # (left, right) null vectors of dR/du at the fold.
+    # dR/du at the fold.
     slope = search_end.jacobian[:, :-1].at[:, shooting.z_index].set(search_end.jacobian[:, -1])
-    left, _, right = jnp.linalg.svd(
-        jnp.where(search_end.converged, slope, jnp.eye(slope.shape[0]))
-    )
+    borders = null_vectors(slope, search_end.converged)
     both = jnp.append(*unknowns(shooting, search_end.point))
-    args = (shooting, forward_share(start, search_end.point)), (left[:, -1], right[-1])
+    args = (shooting, forward_share(start, search_end.point)), borders
     both = attach_derivative(fold_residual(_closure), both, args)
     _, state, period = shooting.unpack(both[:-1], both[-1])
     return Fold(

@@ -59,7 +59,7 @@ from .._types import ScalarLike, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
 from ..continuation.elimination import solve
-from ..continuation.fold_points import fold_residual
+from ..continuation.fold_points import fold_residual, null_vectors
 from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.averaging import Summits, dry_summits, graded, one_mass, speed_scale
 from ..cycles.phases import peak
@@ -599,8 +599,7 @@ def find_grazing(chain: Chain, mass: int) -> Grazing:
     # z = (q without the belt speed, w, v_d), the unknowns of the fold equations.
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)
-    left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
-    args = GrazingOrbit(chain, dry.steps, dry.forward, mass), (left[:, -1], right[-1]), touches
+    args = GrazingOrbit(chain, dry.steps, dry.forward, mass), null_vectors(slope, exists), touches
     z = if_found(exists, attach_derivative(_fold_equations, z, args))
     state, period, speed = args[0].unpack(jnp.append(z[:-2], z[-1]), z[-2])
     return Grazing(

@@ -73,12 +73,6 @@ def check_weights(weights: Any, count: int, what: str) -> Float[Array, " m"]:
     return weights
 
 
-def check_residual(residual: Any) -> None:
-    """Raises `ValueError` unless it can be called."""
-    wanted = "of the unknowns and its arguments -> as many numbers"
-    check_function("residual", residual, wanted, 2)
-
-
 def check_vector(name: str, value: Any) -> Float[Array, " m"]:
     """`value` as a vector, or raises `ValueError` unless it is a finite one with entries."""
     vector = to_float(value, name, "a search needs numbers to start from.")
@@ -281,7 +275,7 @@ def newton(
     (True, 1.414213562373)
     """
     require_x64()
-    check_residual(residual)
+    check_function("residual", residual, "of the unknowns and its arguments -> as many numbers", 2)
     u = check_vector("start", start)
     limit = check_tolerance(tolerance, max_steps)
     count = u.shape[0]

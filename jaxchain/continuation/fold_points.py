@@ -47,6 +47,12 @@ class FoldPoint(Outcome):
     borders: Borders
 
 
+def null_vectors(slope: Float[Array, "m m"], exists: Any = True) -> Borders:
+    """The (left, right) vectors to which F_u, `slope`, is nearest to singular, if it `exists`."""
+    left, _, right = jnp.linalg.svd(jnp.where(exists, slope, jnp.eye(slope.shape[0])))
+    return left[:, -1], right[-1]
+
+
 def _value(output: Any) -> Array:
     return output[0] if isinstance(output, tuple) else output
 
@@ -167,8 +173,8 @@ def _fold_point(
     full = slope(z)
     rows = jnp.max(jnp.abs(full), axis=1)
     rows = jnp.where(rows > 0, rows, 1.0)
-    left, _, right = jnp.linalg.svd(full[:, :-1] / rows[:, None])
-    borders = (rows * left[:, -1], right[-1])
+    left, right = null_vectors(full[:, :-1] / rows[:, None])
+    borders = (rows * left, right)
     weights = jnp.full(z.shape, z.shape[0] ** -0.5)
     root = search(fold_residual(residual), z, (args, borders), tolerance, limit, weights)
 

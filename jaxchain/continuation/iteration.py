@@ -33,7 +33,8 @@ def iterate(
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain.continuation.iteration import iterate
-    >>> from jaxchain.result import SearchResult as of
+    >>> from jaxchain.result import SearchResult
+    >>> of = SearchResult
     >>> def ended(x):
     ...     return of.where(x < 0.1, of.successful, of.max_steps_reached)
     >>> x, result, count = iterate(lambda x, k: x / 2, jnp.asarray(1.0), ended, 10)
@@ -66,6 +67,6 @@ class TrialStep(eqx.Module):
 
     def after(self, accepted: Array, step: Array, memory: Any, length: Any = 1.0) -> TrialStep:
         """`step` from the new best point if the trial was accepted, else a shorter one."""
-        following = TrialStep(step, length, memory, jnp.zeros((), int))
+        following = TrialStep(step, jnp.asarray(length), memory, jnp.zeros((), int))
         shorter = replace(self, length=_SHRINKAGE * self.length, refused=self.refused + 1)
         return where(accepted, following, shorter)

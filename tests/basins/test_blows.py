@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from jaxchain.basins.blows import (
-    Blow,
+from jaxchain.basins.blows import Blow, gentlest_blow
+from jaxchain.basins.kicks import (
     DecayOrVibrate,
     Trials,
-    gentlest_blow,
     quiet_radius,
     threshold,
     upwards,

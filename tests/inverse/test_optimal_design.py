@@ -162,7 +162,7 @@ def test_a_design_stays_where_static_friction_exceeds_dynamic_friction_and_says_
 def test_a_start_whose_boundary_is_not_known_does_not_pretend_to_converge():
     found = design(ONE, change, jnp.array([0.0, 0.5]), width_below=0.3, scale=START)
     assert not found.successful
-    assert int(found.evaluations) < 20
+    assert int(found.evaluations) == 1
 
 
 @pytest.mark.parametrize(

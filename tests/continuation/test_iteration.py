@@ -1,0 +1,67 @@
+"""The loop of a search against a loop in Python, and steps that are shortened."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from jaxchain.continuation.iteration import TrialStep, iterate
+from jaxchain.result import SearchResult
+
+of = SearchResult
+
+
+def heron(x, k):
+    del k
+    return 0.5 * (x + 2.0 / x)
+
+
+def close(x):
+    result = of.where(jnp.isfinite(x), of.max_steps_reached, of.nonfinite)
+    return of.where(jnp.abs(x**2 - 2.0) < 1e-11, of.successful, result)
+
+
+@pytest.mark.parametrize(
+    ("start", "limit", "steps", "ended"),
+    [
+        (1.0, 20, 4, of.successful),
+        (1.0, 4, 4, of.successful),  # it arrives with its last step
+        (1.0, 3, 3, of.max_steps_reached),
+        (2.0**0.5, 20, 0, of.successful),
+        (0.0, 20, 1, of.nonfinite),
+    ],
+)
+def test_it_ends_where_the_search_ends_or_at_the_limit(start, limit, steps, ended):
+    x, result, count = iterate(heron, jnp.asarray(start), close, limit)
+    assert int(count) == steps
+    assert bool(result == ended)
+    for _ in range(steps):
+        start = np.divide(start + np.divide(2.0, start), 2.0) if start else np.inf
+    assert float(x) == start
+
+
+def test_the_searches_of_a_batch_end_separately_and_a_step_knows_its_number():
+    def sum_up(x, k):
+        return x + k
+
+    def large(x):
+        return of.where(x > 5, of.successful, of.max_steps_reached)
+
+    x, result, count = jax.vmap(lambda x: iterate(sum_up, x, large, 4))(jnp.array([6, 3, 0, -9]))
+    assert x.tolist() == [6, 6, 6, -3]
+    assert count.tolist() == [0, 3, 4, 4]
+    assert (result == of.successful).tolist() == [True, True, True, False]
+
+
+def test_a_rejected_step_is_shortened_and_an_accepted_one_is_replaced():
+    first = TrialStep.first(optax.adam(0.1), jnp.ones(2))
+    assert float(jnp.max(jnp.abs(first.step))) == 0.0
+    memory = first.memory
+    step = first.after(jnp.asarray(True), jnp.array([1.0, 2.0]), memory)
+    again = step.after(jnp.asarray(False), jnp.zeros(2), memory)
+    again = again.after(jnp.asarray(False), jnp.zeros(2), memory)
+    assert (step.step == again.step).all()
+    assert (float(step.length), float(again.length)) == (1.0, pytest.approx(0.09))
+    assert (int(step.refused), int(again.refused)) == (0, 2)
+    assert int(again.after(jnp.asarray(True), jnp.ones(2), memory).refused) == 0
