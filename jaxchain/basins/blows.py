@@ -169,7 +169,6 @@ def descend(
     It ends when the angle is at most `tolerance` and the size is known to `fine`.
     """
     transform: Any = optax.with_extra_args_support(optimiser)
-
     of = SearchResult
 
     def ended(now: Descended) -> SearchResult:

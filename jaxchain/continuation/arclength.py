@@ -217,20 +217,21 @@ class BranchWalk:
             changed = changes(corrector, part, self.tests)
             at = crossing(corrector, part) if len(points) > 2 else met
             if at is not None and at.refined:
-                near = _SAME_PLACE * (1.0 + corrector.norm(at.point.z))
                 changed = [
-                    item
-                    for item in changed
-                    if item[0] != "fold"
-                    or (
-                        corrector.norm(item[1].point.z - at.point.z) > near
-                        and abs(item[1].point.p - at.point.p) > at.error
-                    )
+                    (kind, where)
+                    for kind, where in changed
+                    if kind != "fold" or self._apart(where.point, at)
                 ]
                 changed.append(("branch point", at))
             for kind, where in sorted(changed, key=lambda item: item[1].fraction):
                 self._flag(kind, where, part)
             self._append(right, part.length)
+
+    def _apart(self, fold: Point, at: Located) -> bool:
+        """Whether a fold is another point than the branch point `at`."""
+        apart = self.corrector.norm(fold.z - at.point.z)
+        near = _SAME_PLACE * (1.0 + self.corrector.norm(at.point.z))
+        return apart > near and abs(fold.p - at.point.p) > at.error
 
     def _flag(self, kind: str, where: Located, part: Segment) -> None:
         point = where.point

@@ -279,11 +279,8 @@ def newton(
     u = check_vector("start", start)
     limit = check_tolerance(tolerance, max_steps)
     count = u.shape[0]
-    w = (
-        jnp.full(count, count**-0.5)
-        if weights is None
-        else check_weights(weights, count, "unknown")
-    )
+    weights = jnp.full(count, count**-0.5) if weights is None else weights
+    w = check_weights(weights, count, "unknown")
     return search(residual, u, arrays(args), to_float(tolerance), jnp.asarray(limit), w)
 
 

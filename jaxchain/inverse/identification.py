@@ -642,11 +642,7 @@ def _complain(problem: _FitProblem, fit: Identification, hints: Array, start: Py
             for path, leaf in jtu.tree_leaves_with_path(start)
             for i in range(jnp.size(leaf))
         ]
-        which = [
-            n
-            for n, is_determined in zip(names, np.asarray(fit.determined), strict=True)
-            if not is_determined
-        ]
+        which = np.asarray(names)[~np.asarray(fit.determined)]
         texts.append(
             f"The measurements do not determine {', '.join(which)}: a joint change of these has "
             "no effect on them. Fix one of them, or measure something else, such as a "
