@@ -34,7 +34,7 @@ from .._checks import (
 from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.arclength import continue_branch
-from ..continuation.branch import Branch, Labels, joined
+from ..continuation.branch import Branch, Labels
 from ..continuation.damped_newton import check_tolerance, search
 from ..continuation.implicit import attach_derivative, if_found
 from ..model.arguments import as_model, as_parameter, as_state
@@ -709,25 +709,22 @@ def continue_equilibrium(
     if stops := model.dry and parameter == "belt_speed":
         low, high = (max(low, 0.0), high) if p > 0 else (low, min(high, 0.0))
 
-    def follow(direction: Any) -> Branch:
-        branch = continue_branch(
-            _plain,
-            start,
-            p,
-            rates,
-            direction=direction,
-            bounds=(low, high),
-            tests={"hopf": _hopf_test},
-            value_and_jacobian=_linearised,
-            **options,
-        )
-        if stops and branch.ended == "left_bounds" and branch.p[-1] == 0.0:
-            branch = replace(branch, ended="belt_speed = 0")
-        return branch
-
-    branch = follow(-1 if direction is None else direction)
-    if direction is None and branch.ended not in ("closed", "interrupted", "no_start"):
-        branch = joined(branch, follow(1))
+    branch = continue_branch(
+        _plain,
+        start,
+        p,
+        rates,
+        direction=1 if direction is None else direction,
+        both=direction is None,
+        bounds=(low, high),
+        tests={"hopf": _hopf_test},
+        value_and_jacobian=_linearised,
+        **options,
+    )
+    if stops and branch.p.size:  # masses that do not slide stick, and do not go on
+        for name, speed in ("ended_first", branch.p[0]), ("ended", branch.p[-1]):
+            if getattr(branch, name) == "left_bounds" and speed == 0.0:
+                branch = replace(branch, **{name: "belt_speed = 0"})
 
     def happens(point: Any) -> bool:
         """False where the sum of two real eigenvalues vanishes, which is no Hopf point."""

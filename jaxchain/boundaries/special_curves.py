@@ -279,8 +279,8 @@ class SpecialCycle(Outcome):
     """A cycle at a special point, to all digits.
 
     - `kind`: "fold", "period doubling", "symmetry breaking" or "torus"; with dry friction also
-      "grazing fold", "grazing", "release", "stick onset" or "two events"; `parameter`: the name of the parameter
-      that was solved for, and `value` its value there.
+      "grazing fold", "grazing", "release", "stick onset" or "two events".
+    - `parameter`: the name of the parameter that was solved for, and `value` its value there.
     - `state`, `period`: of the cycle, as `find_limit_cycle` has them.
     - `residual`: of the equations, after `steps` Jacobians; `result`: the outcome.
     - `equations`, `unknowns`: those of the special cycle, and what solves them.  With dry friction

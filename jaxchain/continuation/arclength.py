@@ -27,7 +27,7 @@ from .._checks import (
     shown,
 )
 from .._types import ArrayLike, Given, ScalarLike
-from .branch import Branch, BranchRecorder, Point, SpecialPoint
+from .branch import Branch, BranchRecorder, Point, SpecialPoint, joined
 from .corrector import Corrector
 from .damped_newton import arrays, check_vector, check_weights
 from .special_points import (
@@ -297,6 +297,7 @@ def continue_branch(
     args: PyTree = None,
     *,
     direction: Given[ArrayLike] = 1,
+    both: bool = False,
     step: Given[ScalarLike] = 0.05,
     min_step: Given[ScalarLike] = 1e-7,
     max_step: Given[ScalarLike] = 0.5,
@@ -332,7 +333,7 @@ def continue_branch(
       differentiated forward only.  Pass the same function object to compile it once.
     - `start` (m,) and `parameter`, near a solution; `args`, any pytree of arrays.
     - `direction`: 1 or -1, the sign of the first change of p; or a vector (m + 1,), such as
-      `Switched.direction`.
+      `Switched.direction`.  `both`: one branch that goes both ways from the start.
     - `step`, `min_step`, `max_step`: arclength; `weights` (m + 1,) of its norm
       |z|^2 = sum (weights_i z_i)^2, by default (mean of u_i^2) + p^2.
     - `bounds`: of p; the last point is on them.  `max_points`; `stop(u, p, tangent, extra)` ends
@@ -372,20 +373,29 @@ def continue_branch(
     u = np.asarray(check_vector("start", start))
     check_number("parameter", parameter, "it is the value of p at the start.")
     z = np.append(u, float(parameter))
-    corrector = make_corrector(residual, value_and_jacobian, args, u.size, weights, tolerance)
     steps = check_steps(step, min_step, max_step, max_turn, max_bend)
-    low, high = check_walk(parameter, bounds, max_points, keep_part)
-    heading = _heading(direction, u.size)
-
-    record = BranchRecorder(u.size)
-    walk = BranchWalk(corrector, steps, record, (low, high), dict(tests or {}), stop, progress)
-    try:
-        ended, reason = walk.run(z, heading, np.inf if max_points is None else float(max_points))
-    except KeyboardInterrupt:
-        if not (keep_part and record.points):
-            raise
-        ended, reason = "interrupted", ""
-    return record.branch(ended, reason, corrector.counts)
+    within = check_walk(parameter, bounds, max_points, keep_part)
+    check_flag("both", both)
+    heading, most = _heading(direction, u.size), np.inf if max_points is None else max_points
+    sides: list[Branch] = []
+    for way in (-heading, heading) if both else (heading,):
+        corrector = make_corrector(residual, value_and_jacobian, args, u.size, weights, tolerance)
+        record = BranchRecorder(u.size)
+        walk = BranchWalk(corrector, steps, record, within, dict(tests or {}), stop, progress)
+        try:
+            ended, reason = walk.run(z, way, float(most))
+        except KeyboardInterrupt:
+            if not (keep_part and (record.points or sides)):
+                raise
+            ended, reason = "interrupted", ""
+        sides.append(record.branch(ended, reason, corrector.counts))
+        if ended in ("closed", "interrupted", "no_start"):
+            break
+    branch, *ahead = sides
+    if not ahead:
+        return branch
+    # What is cut off says so as a whole.
+    return joined(branch, ahead[0]) if ahead[0].p.size else replace(branch, ended=ahead[0].ended)
 
 
 def check_walk(

@@ -17,7 +17,7 @@ from jax import lax
 from jaxtyping import Array, Float, PyTree
 
 from .branch import Counts, Point
-from .damped_newton import Factors, Iterate, advance, begin, factorise, iterate, size
+from .damped_newton import Factors, Iterate, advance, begin, factorise, newton_steps, size
 
 # A Jacobian costs about this number of values, so more chord steps are not worthwhile.
 _CHORD_STEPS = 8
@@ -124,7 +124,7 @@ def _correct(
             return ~(slow | lost | spent | (at.length <= enough(at) / 2) | arrives(at))
 
         start = search.at._replace(evaluations=search.fresh.astype(int))
-        return iterate(as_before, start, weights, going, least_damping=_LEAST_DAMPING)
+        return newton_steps(as_before, start, weights, going, least_damping=_LEAST_DAMPING)
 
     def going(search: _Iteration) -> Array:
         spent = search.values + search.jacobians >= _MAX_EVALUATIONS

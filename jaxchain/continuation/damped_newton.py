@@ -185,7 +185,7 @@ def advance(linearise: Linearise, now: Iterate, weights: Float[Array, " m"]) -> 
     return where(better, taken, halved)
 
 
-def iterate(
+def newton_steps(
     linearise: Linearise,
     start: Iterate,
     weights: Float[Array, " m"],
@@ -219,7 +219,7 @@ def solve(
 
     # Traced once, for its shapes and for the loop.
     linearise = eqx.filter_closure_convert(linearise, start)
-    now = iterate(linearise, begin(linearise, start), weights, going)
+    now = newton_steps(linearise, begin(linearise, start), weights, going)
     ended = small(now)
     result = ending(now, ended, limit)
     return now.u + jnp.where(ended, now.step, 0.0), result, now.evaluations

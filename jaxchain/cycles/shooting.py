@@ -43,7 +43,7 @@ from jaxtyping import Array, Bool, Complex, Float, Int
 from .._checks import to_float
 from .._types import State
 from ..continuation.branch import SpecialPoint
-from ..continuation.damped_newton import Iterate, Linearise, begin, iterate, size, where
+from ..continuation.damped_newton import Iterate, Linearise, begin, newton_steps, size, where
 from ..kinds.hopf import Hopf
 from ..kinds.kind import AbstractKind, Unknowns
 from ..kinds.multipliers import PeriodDoubling, SymmetryBreaking, Torus
@@ -562,7 +562,7 @@ def newton_minimal_period(
         return ~done & ~(hopeless & closed(now)) & (now.evaluations < limit)
 
     def round_(now: _Round) -> _Round:
-        end = iterate(linearise, nothing._replace(u=now.start), weights, going)
+        end = newton_steps(linearise, nothing._replace(u=now.start), weights, going)
         count, returned = now.best.evaluations + end.evaluations, end.aux.returned
         field, state, period = equations.unpack(end.u)
         same = closed(end) & returned.same(equations.unpack(now.best.u)[1], state)

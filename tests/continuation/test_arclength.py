@@ -417,6 +417,27 @@ def test_an_interruption_is_an_error_where_no_part_is_wanted_or_exists():
         continue_branch(lambda u, p, args: interrupt(), [-1.2], 0.528)
 
 
+def test_both_ways_give_one_branch_and_a_cut_says_so():
+    def circle(u, p, _):
+        return u**2 + p**2 - 1.0
+
+    options = {"bounds": (-0.5, 0.7), "max_points": 40}
+    whole = continue_branch(circle, [1.0], 0.0, both=True, **options)
+    back, ahead = (continue_branch(circle, [1.0], 0.0, direction=d, **options) for d in (-1, 1))
+    np.testing.assert_array_equal(whole.p, [*back.p[:0:-1], *ahead.p])
+    assert np.all(np.diff(whole.arclength) > 0)
+    assert (whole.ended_first, whole.ended) == ("left_bounds", "left_bounds")
+    assert whole.counts.jacobians == back.counts.jacobians + ahead.counts.jacobians
+
+    def interrupt(count, point):
+        if point.p > 0.3:
+            raise KeyboardInterrupt
+
+    cut = continue_branch(circle, [1.0], 0.0, both=True, progress=interrupt, **options)
+    assert (cut.ended_first, cut.ended) == ("left_bounds", "interrupted")
+    assert (cut.p[0], cut.p[-1] > 0.3) == (-0.5, True)
+
+
 def test_a_special_point_beyond_the_last_one_of_an_interrupted_branch_is_left_out(monkeypatch):
     append = BranchRecorder.append
 

@@ -12,8 +12,8 @@ from jaxchain.continuation.damped_newton import (
     advance,
     begin,
     factorise,
-    iterate,
     newton,
+    newton_steps,
     solve,
 )
 from jaxchain.result import SearchResult
@@ -164,7 +164,7 @@ def cubic(u):
 
 
 def test_what_is_told_besides_is_that_of_the_point_where_it_stands():
-    found = iterate(
+    found = newton_steps(
         cubic, begin(cubic, jnp.array([3.0, 3.0])), jnp.ones(2), lambda now: now.length > 1e-6
     )
     np.testing.assert_array_equal(found.aux["square"], found.u**2)
@@ -179,7 +179,7 @@ def test_a_first_evaluation_that_fails_ends_the_search():
     def nowhere(u):
         return jnp.log(u), factorise(jnp.diag(1.0 / u), jnp.ones(1)), None
 
-    found = iterate(
+    found = newton_steps(
         nowhere, begin(nowhere, -jnp.ones(1)), jnp.ones(1), lambda now: jnp.asarray(True)
     )
     assert jnp.isnan(found.length)
