@@ -91,7 +91,10 @@ class AbstractKind(abc.ABC):
         return ()
 
     def start_of_other(self, point: Any, symmetry: Any) -> tuple[Any, SpecialPoint]:
-        """The equations of the other branch through a point, and the point as its solution."""
+        """The equations of the other branch through a point, and the point as its solution.
+
+        `symmetry`: the index of one of its `symmetries`.
+        """
         raise ValueError(
             'Argument `point` must be of kind "symmetry breaking" or "branch point", but is a '
             f'"{point.kind}": no other branch of cycles of this period crosses there.'

@@ -140,7 +140,7 @@ class SymmetryBreaking(AbstractTested):
 
     def start_of_other(self, point: Any, symmetry: Any) -> tuple[Any, SpecialPoint]:
         """See `AbstractKind`."""
-        return point.orbit.with_less_symmetry(point, symmetry)
+        return point.orbit.with_less_symmetry(point, point.symmetries[symmetry])
 
     def followed(self, orbit: Any, point: Any) -> tuple[AbstractKind, list[float]]:
         """That of the first of its branches."""
