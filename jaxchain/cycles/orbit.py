@@ -22,6 +22,13 @@ from ..model.model import AbstractModel
 _TOGETHER = 8
 
 
+# (orbit, u, p) of solutions; (orbit, the special point) of others.
+Rows = Sequence[tuple[Any, np.ndarray, float]]
+SpecialRows = Sequence[tuple[Any, SpecialPoint]]
+# (state, period, amplitude, scaled peak velocity) of cycles.
+Cycles = tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]
+
+
 class SeenCycle(NamedTuple):
     """What a user's own event may depend on, to be followed in two parameters."""
 
@@ -132,17 +139,8 @@ class AbstractOrbit(abc.ABC):
         """A special point to all digits, with its error."""
 
     @abc.abstractmethod
-    def cycles(
-        self,
-        rows: Sequence[tuple[Any, np.ndarray, float]],
-        special: Sequence[tuple[Any, SpecialPoint]],
-        mass: int,
-        rtol: Any,
-    ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
-        """(state, period, amplitude, scaled peak velocity of `mass`) of points (orbit, u, p).
-
-        Those of special points follow.
-        """
+    def cycles(self, rows: Rows, special: SpecialRows, mass: int, rtol: Any) -> Cycles:
+        """The cycles of `rows`, then of special points; the scaled peak velocity is of `mass`."""
 
     def seen_at(
         self, u: Float[np.ndarray, "k m"], parameters: Float[np.ndarray, "k more"]

@@ -28,7 +28,7 @@ Recipes for Continuation, SIAM 2013, part IV, have such sequences).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -56,7 +56,7 @@ from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion, r
 from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
 from .floquet import forcing_periods_of, multiplier_resolution, scaled_peak_velocity
-from .orbit import AbstractOrbit, SeenCycle, together
+from .orbit import AbstractOrbit, Cycles, Rows, SeenCycle, SpecialRows, together
 from .variational import ExtremesAndTrace
 
 # In the order of `CycleProperties.margins`.
@@ -433,13 +433,7 @@ class Phases(AbstractOrbit, eqx.Module):
             return replace(raw, refined=False, error=np.inf)
         return replace(found, error=found.error + float(found.extra.error))
 
-    def cycles(
-        self,
-        rows: Sequence[tuple[Any, np.ndarray, float]],
-        special: Sequence[tuple[Any, SpecialPoint]],
-        mass: int,
-        rtol: Any,
-    ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
+    def cycles(self, rows: Rows, special: SpecialRows, mass: int, rtol: Any) -> Cycles:
         """See `AbstractOrbit`; where the belt releases the mass, or it is fastest."""
         d, forced = self.m * self.n, self.forcing_periods is not None
         columns = [

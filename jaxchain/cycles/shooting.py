@@ -29,7 +29,7 @@ variables are the only unknowns, and their return gives the only equations.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
@@ -52,7 +52,7 @@ from ..model.oscillators import AbstractOscillators
 from ..observers.amplitude import Amplitude
 from ..solvers.rosenbrock import AbstractStructuredRosenbrock
 from .floquet import is_trusted, orbit_multipliers
-from .orbit import AbstractOrbit, SeenCycle, Start
+from .orbit import AbstractOrbit, Cycles, Rows, SeenCycle, SpecialRows, Start
 from .symmetry import (
     CycleSymmetry,
     Symmetry,
@@ -443,13 +443,7 @@ class Shooting(AbstractOrbit, eqx.Module):
         error = tight.error + integration
         return replace(tight, refined=tight.refined and bool(np.isfinite(error)), error=error)
 
-    def cycles(
-        self,
-        rows: Sequence[tuple[Any, np.ndarray, float]],
-        special: Sequence[tuple[Any, SpecialPoint]],
-        mass: int,
-        rtol: Any,
-    ) -> tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray, np.ndarray]:
+    def cycles(self, rows: Rows, special: SpecialRows, mass: int, rtol: Any) -> Cycles:
         """See `AbstractOrbit`; special points are integrated more tightly than others."""
         del mass, rtol
         u, p = np.stack([u for _, u, _ in rows]), np.array([[p] for _, _, p in rows])
