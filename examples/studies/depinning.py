@@ -26,11 +26,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import xarray as xr
+from _front_theory import death_belt_speed, growth_coupling
 from fronts import ALONE, CURVE, PATTERNS, PERIOD, SHARE, WORDS, block_start, measure, spreading
 from scipy import stats
 
 import jaxchain as jc
-from jaxchain.localization.front_theory import death_belt_speed, growth_coupling
 
 FULL = {
     # Rings: masses, how many of them vibrate at the start, and time.

@@ -20,10 +20,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import xarray as xr
+from _front_theory import spreading_speed
 from scipy import stats
 
 import jaxchain as jc
-from jaxchain.localization.front_theory import spreading_speed
 
 COUPLING, PATTERNS, WORDS = 0.01, ["alternating", "in-phase"], ["shrinks", "stands", "grows", "-"]
 FULL = {

@@ -22,10 +22,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import xarray as xr
+from _capture_theory import capture_interval
 from scipy import stats
 
 import jaxchain as jc
-from jaxchain.localization.capture_theory import capture_interval
 
 N, COUPLING, WINDOW, DISTURBANCE = 20, 0.01, 100.0, 0.1
 CHAINS, DISORDER = 200, [0.0, 0.005, 0.01, 0.02, 0.03, 0.05, 0.1]

@@ -1,7 +1,5 @@
 """Localized states: patterns of phases, fronts, and the effect of mistuning.
 
-- `capture_theory`: when a vibrating mass starts the vibration of its neighbour
-- `front_theory`: a prediction of the speed of fronts without fitted numbers
 - `fronts`: the speed and the depinning of fronts of a vibrating block
 - `mistuning`: chains of unequal masses, and their linear modes
 - `patterns`: the phase model of vibrating neighbours, and the patterns in which phases lock

@@ -17,10 +17,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ..continuation.bracket import bisect
-from ..cycles.averaging import gain
-from ..model.chain import Chain
-from ..model.sliding import growth_rate
+from jaxchain.continuation.bracket import bisect
+from jaxchain.cycles.averaging import gain
+from jaxchain.model.chain import Chain
+from jaxchain.model.sliding import growth_rate
 
 # Number of quiet masses in the response, and its time in multiples of 1 / damping.
 _QUIET, _STEPS, _STEP = 4, 1500, 1.0
@@ -43,7 +43,7 @@ def spreading_speed(coupling: Any, growth: Any) -> Float[Array, "*batch"]:
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain.localization.front_theory import spreading_speed
+    >>> from _front_theory import spreading_speed
     >>> round(float(spreading_speed(0.01, 0.0)), 6), round(float(spreading_speed(0.01, 0.01)), 5)
     (0.01, 0.02073)
     """

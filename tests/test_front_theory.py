@@ -4,15 +4,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.special import i1, jv
-
-from jaxchain.boundaries.fold import fold_belt_speed
-from jaxchain.localization.front_theory import (
+from _front_theory import (
     death_belt_speed,
     growth_coupling,
     spreading_speed,
 )
+from scipy.integrate import solve_ivp
+from scipy.special import i1, jv
+
+from jaxchain.boundaries.fold import fold_belt_speed
 from jaxchain.model import growth_rate
 from jaxchain.model.chain import paper_chain
 

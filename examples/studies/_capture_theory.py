@@ -9,14 +9,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import ScalarLike
-from ..cycles.averaging import gain, one_mass
-from ..model.chain import Chain
-from ..model.initial_states import excited_state
-from ..observers.amplitude import Amplitude
-from ..observers.section import PeakTimes
-from ..simulation.event_driven import EventDriven
-from ..simulation.run import simulate
+from jaxchain.cycles.averaging import gain, one_mass
+from jaxchain.model.chain import Chain
+from jaxchain.model.initial_states import excited_state
+from jaxchain.observers.amplitude import Amplitude
+from jaxchain.observers.section import PeakTimes
+from jaxchain.simulation.event_driven import EventDriven
+from jaxchain.simulation.run import simulate
 
 _AMPLITUDES = 400
 # The cycle attracts within a period, and no period is longer than 10.
@@ -24,7 +23,7 @@ _TRANSIENT, _WINDOW, _PERIODS, _RTOL = 60.0, 90.0, 8, 1e-9
 
 
 @eqx.filter_jit
-def capture_interval(chain: Chain, belt_speed: ScalarLike) -> Float[Array, "2"]:
+def capture_interval(chain: Chain, belt_speed: Any) -> Float[Array, "2"]:
     """Detunings k_neighbour - k_driver at which a quiet neighbour starts to vibrate.
 
     The driver, of amplitude A and frequency omega, shakes its neighbour by eta_c A cos(omega t).
