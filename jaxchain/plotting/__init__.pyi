@@ -12,7 +12,6 @@ from .motions import loop as loop
 from .motions import plot_phase_portrait as plot_phase_portrait
 from .motions import plot_space_time as plot_space_time
 from .motions import plot_time_series as plot_time_series
-from .motions import save_gif as save_gif
 from .motions import sticking as sticking
 from .style import save_figure as save_figure
 from .sweeps import figure as figure

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +11,17 @@ import jax
 import jax.numpy as jnp
 import matplotlib
 import numpy as np
-from matplotlib.animation import AbstractMovieWriter, FuncAnimation, writers
+from matplotlib.animation import FuncAnimation, writers
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
-from PIL import Image
 
 from .._checks import (
     as_array,
     check_concrete,
     check_finite,
-    check_kind,
     check_positive_number,
     check_whole,
     numbers_of,
@@ -432,7 +428,7 @@ def animate(
     - `masses`: indices of the masses to show; by default up to eight around the one with the
       largest amplitude.
 
-    **Returns:** a matplotlib animation; write it with `save_gif`, or as a film with its method
+    **Returns:** a matplotlib animation.  Its method `save("film.gif")` writes it, or
     `save("film.mp4")`, which needs the program ffmpeg.
 
     **Raises:** `ValueError` for wrong shapes, numbers that are not finite, and too few frames.
@@ -442,13 +438,12 @@ def animate(
         >>> import jax, tempfile, numpy as np
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import paper_chain
-        >>> from jaxchain.plotting import animate, save_gif
+        >>> from jaxchain.plotting import animate
         >>> times = np.linspace(0.0, 5.0, 4)[:, None]
         >>> states = np.cos(times), -np.sin(times)  # any film of one mass
         >>> film = animate(times[:, 0], states, paper_chain(n=1))
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).stat().st_size < 30_000)
-        True
+        ...     film.save(f"{folder}/film.gif", dpi=40)
     """
     moments, motion = _checked_film(times, states, model)
     check_positive_number("frames_per_second", frames_per_second, "20 is usual.")
@@ -468,60 +463,23 @@ def animate(
 
 
 class _Animation(FuncAnimation):
-    """An animation that asks for a missing ffmpeg before it draws the first frame."""
+    """An animation that asks for a missing ffmpeg before it draws the first frame.
+
+    A GIF is written without one.
+    """
 
     def save(self, filename: Any, writer: Any = None, *arguments: Any, **options: Any) -> None:
-        suffix = Path(filename).suffix.lower()
-        of_pillow = suffix in (".gif", ".png", ".apng", ".webp")
-        used = matplotlib.rcParams["animation.writer"] if writer is None else writer
-        wanted = used == "ffmpeg" and (writer is not None or not of_pillow)
-        if wanted and not writers.is_available("ffmpeg"):
+        if writer is None:
+            gif = Path(filename).suffix.lower() == ".gif"
+            writer = "pillow" if gif else matplotlib.rcParams["animation.writer"]
+        if writer == "ffmpeg" and not writers.is_available("ffmpeg"):
             raise RuntimeError(
                 f"Argument `filename` = {str(filename)!r} needs the program ffmpeg, which is not "
-                "installed: install it, or write a GIF with `save_gif`, which needs nothing else."
+                "installed: install it, or write a file that ends with .gif, which needs nothing "
+                "else."
             )
-        super().save(filename, writer, *arguments, **options)
-
-
-def save_gif(
-    animation: FuncAnimation, path: Given[str | PathLike[str]], dpi: Given[int] = 100
-) -> Path:
-    """Writes an animation as a repeating GIF with few colours.
-
-    **Arguments:** `animation`, from `animate`; `path` of the file; `dpi`, dots per inch.
-
-    **Returns:** the path of the file.
-
-    **Raises:** `ValueError` for a `dpi` that is not positive.
-
-    !!! example
-
-        >>> import jax, tempfile, numpy as np
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.plotting import animate, save_gif
-        >>> times = np.linspace(0.0, 5.0, 4)[:, None]
-        >>> states = np.cos(times), -np.sin(times)  # any film of one mass
-        >>> film = animate(times[:, 0], states, paper_chain(n=1))
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     print(save_gif(film, f"{folder}/film.gif", dpi=40).read_bytes()[:6])
-        b'GIF89a'
-    """
-    remedy = "`animate(...)` makes one."
-    check_kind("animation", animation, FuncAnimation, "a `FuncAnimation`", remedy)
-    check_kind("path", path, str | Path, "the name of a file")
-    path = Path(path)
-    if path.suffix.lower() != ".gif":
-        raise ValueError(
-            f"Argument `path` must end with .gif, but is {str(path)!r}: for other formats, such "
-            "as mp4, use `animation.save(path)`, which needs the program ffmpeg."
-        )
-    check_positive_number("dpi", dpi, "100 is usual.")
-    timer: Any = animation.event_source
-    rate = 1000.0 / timer.interval
-    with matplotlib.rc_context(STYLE):
-        animation.save(path, writer=_GifWriter(fps=rate), dpi=dpi)
-    return path
+        with matplotlib.rc_context(STYLE):
+            super().save(filename, writer, *arguments, **options)
 
 
 def film_strip(
@@ -571,29 +529,6 @@ def film_strip(
             title = rf"$\tau$ = {moments[still * len(moments) // stills]:.2f}"
             axes.set_title(title, loc="right", pad=1.5)
     return page
-
-
-class _GifWriter(AbstractMovieWriter):
-    """A writer with one small palette: half the file size of matplotlib's own writer."""
-
-    def setup(self, fig: Figure, outfile: Any, dpi: Any = None) -> None:
-        super().setup(fig, outfile, dpi)  # pyright: ignore[reportAbstractUsage]  # has a body
-        self.pictures: list[Image.Image] = []
-
-    def grab_frame(self, **savefig_kwargs: Any) -> None:
-        buffer = io.BytesIO()
-        self.fig.savefig(buffer, format="png", dpi=self.dpi, **savefig_kwargs)
-        self.pictures.append(Image.open(buffer).convert("RGB"))
-
-    def finish(self) -> None:
-        # 64 colours, chosen for some eight frames, and by coverage: few pixels count as well.
-        some = self.pictures[:: -(-len(self.pictures) // 8)]
-        sample = Image.fromarray(np.concatenate([np.asarray(picture) for picture in some]))
-        palette = sample.quantize(64, Image.Quantize.MAXCOVERAGE)
-        none = Image.Dither.NONE
-        first, *others = (p.quantize(palette=palette, dither=none) for p in self.pictures)
-        look: Any = {"loop": 0, "optimize": True, "duration": round(1000.0 / self.fps)}
-        first.save(self.outfile, save_all=True, append_images=others, **look)
 
 
 def _livelier(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:

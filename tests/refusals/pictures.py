@@ -45,12 +45,6 @@ def rows() -> Iterator[Row]:
     yield Row("animate", plotting.animate, film, bad)
     strip = {**film, "stills": 2}
     yield Row("film_strip", plotting.film_strip, strip, {**frames, "stills": (*COUNT, 4)})
-    animation = plotting.animate(TIMES, FILM, CHAIN)
-    # matplotlib warns of an animation that is never drawn.
-    animation._draw_was_started = True  # pyright: ignore[reportAttributeAccessIssue]
-    good = {"animation": animation, "path": "film.gif"}
-    bad = {"animation": (None, "x"), "path": (None, 3, {}, "film.png"), "dpi": POSITIVE}
-    yield Row("save_gif", plotting.save_gif, good, bad)
     yield Row(
         "loop", plotting.loop, {"model": CHAIN, "state": STATE},
         {
