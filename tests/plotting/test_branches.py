@@ -224,7 +224,7 @@ def test_masses_vibrate_by_themselves_between_two_hopf_points_and_pieces_have_th
     hopf = replace(
         hopf, first=np.array([0.9, 0.5, 0.2]), second=np.array([0.1, 0.3, 0.15]), special=()
     )
-    touching = SimpleNamespace(field=fold.chain, kind="grazing fold")
+    touching = SimpleNamespace(field=fold.chain, kind=SimpleNamespace(name="grazing fold"))
     pieces = touching, touching, fold.equations[2]
     axes = plot_special_curves([hopf, replace(fold, equations=pieces, kind="grazing fold")])
     assert legend(axes)[3:] == ["Hopf point", "grazing fold", "fold", "generalised Hopf"]
