@@ -4,6 +4,7 @@
 - `diagram`: what a bifurcation diagram shows beside its points
 - `fits`: the profile likelihood of a fitted number
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry
+- `maps`: a quantity over two swept parameters, with curves of special points laid over
 - `model`: the chain on its belt, and the friction law, as drawings
 - `modes`: frequencies and growth rates of modes over a parameter
 - `motions`: a run over time, in the phase plane, and as a film

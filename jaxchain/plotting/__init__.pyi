@@ -1,6 +1,7 @@
 from .branches import plot_branch as plot_branch
 from .branches import plot_special_curves as plot_special_curves
 from .fits import plot_profile as plot_profile
+from .maps import plot_map as plot_map
 from .model import draw_friction as draw_friction
 from .model import draw_mechanism as draw_mechanism
 from .model import draw_model as draw_model

@@ -174,14 +174,7 @@ def plot_special_curves(
         >>> [text.get_text() for text in ax.get_legend().get_texts()]
         ['Hopf point', 'generalised Hopf']
     """
-    given = curves if isinstance(curves, list | tuple) else [curves]
-    data = [curve.to_dataset() if isinstance(curve, SpecialCurve) else curve for curve in given]
-    remedy = "`continue_special` makes them."
-    if not data or any(not isinstance(d, xr.Dataset) or "second" not in d.attrs for d in data):
-        raise ValueError(
-            f"Argument `curves` must be a curve of special points, its dataset or a list of them, "
-            f"but is {shown(curves)}: {remedy}"
-        )
+    data = curve_datasets(curves)
     names = [(d.attrs["first"], d.attrs["second"]) for d in data]
     if len(set(names)) > 1:
         raise ValueError(
@@ -199,26 +192,51 @@ def plot_special_curves(
                 np.stack([v for v, _ in lines[i]]) for i in (kinds.index("hopf"), folds[0])
             )
             _shade_between(axes, hopf, fold, names[0][0] == "belt_speed")
-        for d, ((x, x_label), (y, y_label)) in zip(data, lines, strict=True):
-            of = [str(kind) for kind in d["point_kind"].values]
-            starts = [k for k in range(len(of)) if k == 0 or of[k] != of[k - 1]]
-            for begin, end in itertools.pairwise([*starts, len(of)]):
-                _, colour, word = MARKS.get(of[begin], ("", PURPLE, of[begin]))
-                colour = BLUE if colour == "white" else colour
-                to = slice(max(begin - 1, 0), end)  # from the end of the piece before it
-                line: Any = smooth(x[to], y[to])
-                axes.plot(*line, color=colour, linewidth=1.3, label=word)
-            special = d["special_kind"].values
-            for one in sorted(set(map(str, special)) - {"extremum"}):
-                at = [
-                    scaled(d[f"special_{name}"].rename(name), scales)[0][special == one]
-                    for name in names[0]
-                ]
-                axes.plot(*at, CURVE_MARKS.get(one, "P"), color="black", markersize=5, label=one)
-            axes.set_xlabel(x_label)
-            axes.set_ylabel(y_label)
+        draw_curves(axes, data, names[0], scales)
+        axes.set_xlabel(lines[-1][0][1])
+        axes.set_ylabel(lines[-1][1][1])
         add_legend(axes)
     return axes
+
+
+def curve_datasets(curves: Any) -> list[xr.Dataset]:
+    """One or several curves of special points as datasets, or `ValueError`."""
+    given = curves if isinstance(curves, list | tuple) else [curves]
+    data = [curve.to_dataset() if isinstance(curve, SpecialCurve) else curve for curve in given]
+    if not data or any(not isinstance(d, xr.Dataset) or "second" not in d.attrs for d in data):
+        raise ValueError(
+            f"Argument `curves` must be a curve of special points, its dataset or a list of them, "
+            f"but is {shown(curves)}: `continue_special` makes them."
+        )
+    return data
+
+
+def draw_curves(
+    axes: Axes,
+    curves: list[xr.Dataset],
+    names: tuple[str, str],
+    scales: Scales | None,
+    **look: Any,
+) -> None:
+    """Draws the lines and the special points of curves; `names`, what is across and up."""
+    for d in curves:
+        x, y = (scaled(d[name], scales)[0] for name in names)
+        of = [str(kind) for kind in d["point_kind"].values]
+        starts = [k for k in range(len(of)) if k == 0 or of[k] != of[k - 1]]
+        for begin, end in itertools.pairwise([*starts, len(of)]):
+            _, colour, word = MARKS.get(of[begin], ("", PURPLE, of[begin]))
+            colour = BLUE if colour == "white" else colour
+            to = slice(max(begin - 1, 0), end)  # from the end of the piece before it
+            line: Any = smooth(x[to], y[to])
+            axes.plot(*line, color=colour, linewidth=1.3, label=word, **look)
+        special = d["special_kind"].values
+        for one in sorted(set(map(str, special)) - {"extremum"}):
+            at = [
+                scaled(d[f"special_{name}"].rename(name), scales)[0][special == one]
+                for name in names
+            ]
+            mark = CURVE_MARKS.get(one, "P")
+            axes.plot(*at, mark, color="black", markersize=5, label=one, **look)
 
 
 def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray, named: bool) -> None:

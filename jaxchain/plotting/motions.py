@@ -277,7 +277,7 @@ def _draw_curves(
             axes.axhline(belt, color="black", label="belt speed", **dashed)
         axes.set(xlabel=names[0], ylabel=names[1])
         axes.ticklabel_format(useOffset=False)  # of a mass that hardly moves
-        add_legend(axes, beside=len(picked) > 2 and color is None)
+        add_legend(axes, place="beside" if len(picked) > 2 and color is None else "")
     return axes
 
 

@@ -84,8 +84,17 @@ def save_figure(page: Figure, path: Path) -> list[Path]:
     return files
 
 
-# The mark of a legend that stands beside its axes.
-_BESIDE = "beside"
+# Places of legends outside of their axes.
+_PLACES: dict[str, dict[str, Any]] = {
+    "beside": {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2},
+    "above": {
+        "loc": "lower left",
+        "bbox_to_anchor": (-0.12, 1.0),
+        "borderaxespad": 0.2,
+        "ncols": 2,
+        "columnspacing": 1.2,
+    },
+}
 
 
 @contextmanager
@@ -119,11 +128,11 @@ def add_colour_bar(panels: Sequence[Axes], shade: Any, label: str | None) -> Any
     return bar
 
 
-def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool = False) -> None:
+def add_legend(panels: Axes | list[Axes], title: str | None = None, place: str = "") -> None:
     """Adds a legend with each label of the panels once, also for overlaid plots.
 
-    It is placed in the first panel, or `beside` it, and for several panels beside all of them, if
-    the layout of the figure makes room.
+    It is placed in the first panel, or "beside" or "above" it, and for several panels beside all
+    of them, if the layout of the figure makes room.
     """
     panels = [panels] if isinstance(panels, Axes) else panels
     options: dict[str, Any] = {}
@@ -134,10 +143,10 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
         return
     before = panels[0].get_legend()
     if before is not None:  # of the picture below: it keeps its place and its title
-        beside = beside or before.get_gid() == _BESIDE
+        place = place or before.get_gid() or ""
         title = title or before.get_title().get_text() or None
     page = panels[0].get_figure(root=True)
-    beside = beside and page is not None and page.get_layout_engine() is not None
+    makes_room = page is not None and page.get_layout_engine() is not None
     size = 0.78 * float(panels[0].xaxis.label.get_fontsize())  # as the axes have it
     look: dict[str, Any] = {
         "title": title and _wrapped(title),
@@ -147,13 +156,12 @@ def add_legend(panels: Axes | list[Axes], title: str | None = None, beside: bool
         "fontsize": size,
         "title_fontsize": size,
     }
-    if beside and len(panels) > 1:
+    if makes_room and place and len(panels) > 1:
         panels[0].figure.legend([*options.values()], [*options], loc="outside right upper", **look)
     else:
-        if beside:
-            look |= {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2}
+        look |= _PLACES.get(place, {}) if makes_room else {}
         legend = panels[0].legend([*options.values()], [*options], **look)
-        legend.set_gid(_BESIDE if beside else "")
+        legend.set_gid(place)
 
 
 def _wrapped(title: str) -> str:
@@ -162,14 +170,21 @@ def _wrapped(title: str) -> str:
     return textwrap.fill(whole, 18).replace("\0", " ")
 
 
+def spans_decades(positions: np.ndarray) -> bool:
+    """Whether these are positive numbers for a logarithmic axis."""
+    is_number = positions.dtype.kind in "fiu"
+    return is_number and bool(0 < 30 * positions.min() < positions.max())
+
+
 def widen(axes: Axes, positions: np.ndarray) -> None:
     """Makes the axis logarithmic if positions span decades."""
-    if (
-        positions.dtype.kind in "fiu"
-        and positions.min() > 0
-        and positions.max() > 30 * positions.min()
-    ):
+    if spans_decades(positions):
         axes.set_xscale("log")
+
+
+def shades(count: int = 256) -> ListedColormap:
+    """Viridis in `count` colours, without its lightest part, which is lost on white paper."""
+    return ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, count)))
 
 
 def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | None]:
@@ -178,9 +193,7 @@ def looks(values: np.ndarray) -> tuple[list[tuple[Any, str]], ScalarMappable | N
         return list(zip(SERIES, MARKERS[: len(values)], strict=False)), None
     is_number = values.dtype.kind in "fiu"
     numbers = values if is_number else np.arange(len(values))
-    # The lightest part of viridis is lost on white paper.
-    shades = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.92, 256)))
-    shade = ScalarMappable(Normalize(float(numbers.min()), float(numbers.max())), shades)
+    shade = ScalarMappable(Normalize(float(numbers.min()), float(numbers.max())), shades())
     colours = [(tuple(colour), "o") for colour in shade.to_rgba(numbers.astype(float))]
     return colours, shade if is_number else None
 

@@ -162,7 +162,7 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
     data, truth = panel.runs, panel.dry
     names = swept(data)
     if "oscillators" in parameters(data) and "active_count" not in data:
-        values = _variable(data, None)
+        values = named_values(data, None)
         hue = _hue(data, values, names[1] if len(names) > 1 else None)
         _draw(axes, data, values, names[0], hue, None)
         axes.tick_params(which="both", top=True, right=True)
@@ -403,17 +403,17 @@ def plot_sweep(
     check_kind("data", data, xr.Dataset, "a dataset", "`sweep` makes them.")
     check_scales(scales)
     given = None if ax is None else _flat(ax)
-    values = _variable(data, y)
+    values = named_values(data, y)
     shades = _hue(data, values, hue)
     roles = _roles(data, values, {"x": x, "hue": hue, "col": col, "row": row}, shades, given)
     faceted = [name for role in ("row", "col") if (name := roles[role])]
-    at = [[{_dim(data, name): k} for k in range(data[name].size)] for name in faceted]
+    at = [[{dim_of(data, name): k} for k in range(data[name].size)] for name in faceted]
     panels = [dict(itertools.chain(*map(dict.items, parts))) for parts in itertools.product(*at)]
     if len(panels) > MOST_PANELS:
         raise ValueError(
             f"Argument `data` has {len(panels)} values of {' and '.join(map(repr, faceted))}, and "
-            f"at most {MOST_PANELS} panels are legible: give `hue` one of these dimensions, or "
-            "take some values."
+            f"at most {MOST_PANELS} panels are legible: give `hue` one of these dimensions, "
+            "take some values, or draw a map over two of them with `plot_map`."
         )
     if given is not None and len(given) != len(panels):
         raise ValueError(
@@ -442,21 +442,22 @@ def plot_sweep(
     return out.reshape([len(part) for part in at])
 
 
-def _variable(data: xr.Dataset, y: Any) -> xr.DataArray:
-    if y is None:
+def named_values(data: xr.Dataset, name: Any, argument: str = "y") -> xr.DataArray:
+    """The variable with this name, or `ValueError`; None is the energy or the amplitude."""
+    if name is None:
         single = variable(data, "amplitude") if _masses(data) == 1 else None
-        y = single or variable(data, "energy") or variable(data, "amplitude") or "energy"
-    if y == "active_share" and "active_count" in data:
+        name = single or variable(data, "energy") or variable(data, "amplitude") or "energy"
+    if name == "active_share" and "active_count" in data:
         share = data["active_count"] / _masses(data)
         return share.rename("active_share").assign_attrs(units="1")
-    if not isinstance(y, str) or y not in data.data_vars or data[y].dtype.kind not in "fiub":
-        allowed = [str(name) for name in data if data[name].dtype.kind in "fiub"]
+    allowed = [str(k) for k in data if data[k].dtype.kind in "fiub"]
+    if not isinstance(name, str) or name not in allowed:
         more = ["active_share"] * ("active_count" in data)
         raise ValueError(
-            f"Argument `y` must name a variable of the sweep, one of {', '.join(allowed + more)}, "
-            f"but is {shown(y)}."
+            f"Argument `{argument}` must name a variable of the sweep, one of "
+            f"{', '.join(allowed + more)}, but is {shown(name)}."
         )
-    return data[y]
+    return data[name]
 
 
 def _masses(data: xr.Dataset) -> int:
@@ -469,7 +470,7 @@ def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
     is_variable = hue in {*data.data_vars, "active_share"}
     if not is_variable:
         return _Hue(data[hue], data[hue], False)
-    of_runs = _variable(data, hue)
+    of_runs = named_values(data, hue)
     if extra := sorted({*map(str, of_runs.dims)} - {*map(str, values.dims)}):
         raise ValueError(
             f"Argument `hue` = {hue!r} has the dimension `{extra[0]}`, which {values.name!r} does "
@@ -489,7 +490,7 @@ def _roles(
     roles = dict(requested)
     for role, name in requested.items():
         if name is not None and not (role == "hue" and hue is not None and hue.is_variable):
-            _take(data, values, role, name, free)
+            take_dim(data, values, role, name, free)
     if roles["x"] is None:
         names = free or [str(dim) for dim in values.dims]
         if not names:
@@ -514,7 +515,9 @@ def _roles(
     return roles
 
 
-def _take(data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: list[str]) -> None:
+def take_dim(
+    data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: list[str]
+) -> None:
     """Takes the dimension that `name` is along from those that are free, or `ValueError`."""
     dims = [str(dim) for dim in values.dims]
     along = {str(k) for k, coordinate in data.coords.items() if coordinate.dims in zip(dims)}
@@ -523,7 +526,7 @@ def _take(data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: li
             f"Argument `{role}` must name a dimension of {values.name!r} or what is swept along "
             f"one, one of {[*dims, *sorted(along - {*dims})]}, but is {shown(name)}."
         )
-    dim = _dim(data, name)
+    dim = dim_of(data, name)
     if dim in free:
         free.remove(dim)
     elif values.sizes[dim] > 1:
@@ -533,7 +536,7 @@ def _take(data: xr.Dataset, values: xr.DataArray, role: str, name: Any, free: li
         )
 
 
-def _dim(data: xr.Dataset, name: str) -> str:
+def dim_of(data: xr.Dataset, name: str) -> str:
     """The dimension of a coordinate; one without a coordinate is its own."""
     return str(data[name].dims[0])
 
@@ -548,14 +551,14 @@ def _draw(
 ) -> None:
     x, x_label = scaled(data[across], scales)
     y_factor, y_label = axis(str(values.name), values.attrs, scales)
-    dim = _dim(data, across)
+    dim = dim_of(data, across)
     order = [*(k for k in values.dims if k != dim), dim]
 
     def flat(array: xr.DataArray) -> np.ndarray:
         return array.broadcast_like(values).transpose(*order).values.ravel()
 
     at = flat(data[across].copy(data=x))
-    bad = {word: flat(array) for word, array in _without_answer(data).items()}
+    bad = {word: flat(array) for word, array in without_answer(data).items()}
     decided = ~np.logical_or.reduce([np.zeros(at.shape, bool), *bad.values()])
     height = np.where(decided, y_factor * flat(values), np.nan)
     series = [(np.ones(at.shape, bool), "", (BLUE, "o"))]
@@ -589,12 +592,16 @@ def _draw(
     axes.set_ylabel(y_label)
 
 
-def _without_answer(data: xr.Dataset) -> dict[str, xr.DataArray]:
-    """Which runs failed, and which have not run; searches have codes of their own."""
+def outcome_names(result: xr.DataArray) -> list[str]:
+    """The outcomes by their codes; searches have names of their own."""
+    return str(result.attrs.get("flag_meanings", " ".join(NAMES))).split()
+
+
+def without_answer(data: xr.Dataset) -> dict[str, xr.DataArray]:
+    """Which runs failed, and which have not run."""
     if "result" not in data:
         return {}
-    result = data["result"]
-    names = str(result.attrs.get("flag_meanings", " ".join(NAMES))).split()
+    result, names = data["result"], outcome_names(data["result"])
     kinds = {"not run": _NOT_RUN, "failed": {*names} - {*WELL} - _NOT_RUN}
     return {
         word: result.isin([code for code, name in enumerate(names) if name in kind])
@@ -610,7 +617,7 @@ def _explain(panels: list[Axes], hue: _Hue | None, scales: Scales | None) -> Non
     factor, title = axis(str(values.name), values.attrs, scales)
     _, shade = looks(factor * values.values if factor != 1.0 else values.values)
     if shade is None:
-        return add_legend(panels, title, beside=True)
+        return add_legend(panels, title, "beside")
     bar = add_colour_bar(panels, shade, title)
     if values.dtype.kind in "iu":
         bar.locator = MaxNLocator(integer=True)

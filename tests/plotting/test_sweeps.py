@@ -515,7 +515,7 @@ def test_without_amplitudes_no_run_is_called_steady_sliding():
 
 def test_more_panels_than_are_legible_are_refused():
     data = single().rename(displacement="pull")
-    with pytest.raises(ValueError, match="at most 24 panels"):
+    with pytest.raises(ValueError, match=r"at most 24 panels are .* `plot_map`"):
         plot_sweep(data.isel(pull=np.zeros(30, int)))
     axes = {name: [0.1, 0.2] for name in ("belt_speed", "coupling", "width", "v_ref", "mu_static")}
     with pytest.raises(ValueError, match=r"dimension `v_ref` of 2 values and `mu_static` of 2"):

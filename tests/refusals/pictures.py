@@ -104,6 +104,23 @@ def _plots() -> Iterator[Row]:
         "col": words, "row": words,
     }  # fmt: skip
     yield Row("plot_sweep", plotting.plot_sweep, {"data": runs}, bad)
+    grid = runs.assign_coords(law=("excited", [*"abcdefg"]))
+    wrong = {
+        **every, "x": words, "y": (*words, Told("law", "'a', 'b'")),
+        "value": (
+            *words, Told(lambda data: 3.0, "3.0"), Told(lambda data: data.energy * 1j, "Array"),
+            Told(lambda data: data.energy[1:], "belt_speed"),
+        ),
+        "data": (
+            None, "x", Told(grid.isel(excited=0), "'belt_speed': 10"),
+            Told(grid.expand_dims(realisation=[1, 2]), "`excited` of 7"),
+        ),
+        "curves": (
+            "x", {}, [], 3.0,
+            Told(special_curve().to_dataset().assign_attrs(second="width"), "'width'"),
+        ),
+    }  # fmt: skip
+    yield Row("plot_map", plotting.plot_map, {"data": grid, "x": "belt_speed"}, wrong)
     panels = {"data": runs, "x": "belt_speed", "col": "excited"}
     wrong = {"ax": ("x", 3, [], Told(Figure().subplots(), "holds 1 Axes"))}
     yield Row("plot_sweep, panels", plotting.plot_sweep, panels, wrong)

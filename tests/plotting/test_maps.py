@@ -1,0 +1,206 @@
+"""Maps show each run's value at its place, and curves of special points on the axes they share."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from synthetic import ladder, results, special_curve
+
+from jaxchain.model.units import Scales
+from jaxchain.plotting.branches import PARTS, plot_special_curves
+from jaxchain.plotting.maps import plot_map
+from jaxchain.plotting.style import GREY, RED, save_figure, shades
+from jaxchain.result import NAMES
+
+SPEEDS, DAMPING = np.array([1.0, 1.2, 1.6]), np.array([0.1, 0.2])
+SCALES = Scales.from_dimensional(
+    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
+)
+
+
+def runs(counts=((0, 1), (2, 3), (3, 3))):
+    return results({"belt_speed": SPEEDS, "damping_ratio": DAMPING}, np.array(counts), 3)
+
+
+def meshes(axes) -> list[Any]:
+    return [one for one in axes.collections if hasattr(one, "get_coordinates")]
+
+
+def edges(axes):
+    """Those of the columns and of the rows."""
+    corners = meshes(axes)[0].get_coordinates()
+    return corners[0, :, 0], corners[:, 0, 1]
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def bar(axes):
+    return axes.get_figure(root=True).axes[-1]
+
+
+def test_each_run_is_a_cell_at_its_place_whichever_way_round_the_axes_are():
+    data = runs()
+    upright, lying = plot_map(data, value="energy"), plot_map(data, x="damping_ratio")
+    np.testing.assert_array_equal(meshes(upright)[0].get_array(), data.energy.values.T)
+    np.testing.assert_array_equal(meshes(lying)[0].get_array(), data.energy.values)
+    for own, other in zip(edges(upright), reversed(edges(lying)), strict=True):
+        np.testing.assert_array_equal(own, other)
+    np.testing.assert_allclose(edges(upright)[0], [0.9, 1.1, 1.4, 1.8], rtol=1e-14)
+    np.testing.assert_allclose(edges(upright)[1], [0.05, 0.15, 0.25], rtol=1e-14)
+    assert upright.get_xlim() == pytest.approx((0.9, 1.8))
+    assert upright.get_xlabel() == lying.get_ylabel() == r"belt speed $\tilde v_d$ (–)"
+    assert bar(upright).get_ylabel() == r"vibration energy $\tilde E$ (–)"
+
+
+@pytest.mark.parametrize("order", [[2, 1, 0], [1, 2, 0]])
+def test_values_in_any_order_are_the_same_map(order):
+    data = runs()
+    expected, found = plot_map(data), plot_map(data.isel(belt_speed=order))
+    for own, other in zip(edges(expected), edges(found), strict=True):
+        np.testing.assert_array_equal(own, other)
+    np.testing.assert_array_equal(*(meshes(axes)[0].get_array() for axes in (expected, found)))
+
+
+def test_the_cell_under_a_point_of_the_picture_has_the_colour_of_its_run():
+    data = runs()
+    axes = plot_map(data, value="active_count")
+    page: Any = axes.get_figure(root=True)
+    page.canvas.draw()
+    pixels = np.asarray(page.canvas.buffer_rgba())
+    colours = (255 * shades(4)(np.arange(4))).round()
+    for i, speed in enumerate(SPEEDS):
+        for j, damping in enumerate(DAMPING):
+            across, up = axes.transData.transform((speed, damping)).astype(int)
+            count = int(data.active_count[i, j])
+            np.testing.assert_allclose(pixels[-1 - up, across], colours[count], atol=1)
+
+
+def test_whole_numbers_have_a_colour_each_and_all_others_a_range():
+    data = runs()
+    counts, energies = (plot_map(data, value=name) for name in ("active_count", "energy"))
+    (mesh,) = meshes(counts)
+    assert (mesh.norm.vmin, mesh.norm.vmax, mesh.cmap.N) == (-0.5, 3.5, 4)
+    ticks = [tick for tick in bar(counts).get_yticks() if -0.5 <= tick <= 3.5]
+    assert ticks == [0, 1, 2, 3]
+    assert bar(counts).get_ylabel() == "vibrating oscillators"
+    (mesh,) = meshes(energies)
+    assert (mesh.norm.vmin, mesh.norm.vmax) == (0.0, pytest.approx(3 * 0.5 * 1.5**2))
+    assert mesh.cmap.N == 256
+    data["steps"] *= np.arange(1, 4)[:, None]
+    assert meshes(plot_map(data, value="steps"))[0].cmap.N == 256
+
+
+def test_runs_without_a_value_are_marked_and_the_legend_says_how_many_and_why():
+    data = runs([[-1, 1], [-1, 3], [0, 2]])
+    data["result"][0, 0] = NAMES.index("max_steps_reached")
+    data["result"][2, 1] = NAMES.index("pending")
+    data["energy"][0, 1] = np.nan
+    axes = plot_map(data)
+    mesh, *marked = meshes(axes)
+    missing = [[True, True, False], [True, False, True]]
+    np.testing.assert_array_equal(np.ma.getmaskarray(mesh.get_array()), missing)
+    cells = {tuple(one.cmap(0)): (~one.get_array().mask).tolist() for one in marked}
+    expected = {
+        RED: [[True, True, False], [False, False, False]],
+        GREY: [[False, False, False], [False, False, True]],
+        "0.85": [[False, False, False], [True, False, False]],
+    }
+    assert cells == {to_rgba(k): where for k, where in expected.items()}
+    assert legend(axes) == [
+        "1 not run:\npending",
+        "2 failed:\n1 max_steps_reached\n1 nonfinite",
+        "1 without a value",
+    ]
+    np.testing.assert_array_equal(
+        mesh.get_array().compressed(), data.energy.values[[2, 1], [0, 1]]
+    )
+    nothing = plot_map(runs(np.full((3, 2), -1)))
+    assert legend(nothing) == ["6 failed:\nnonfinite"]
+    assert meshes(nothing)[0].get_array().mask.all()
+
+
+def test_a_function_reduces_other_dimensions_and_no_failed_run_is_averaged_over():
+    counts = np.stack([runs().active_count, [[0, 3], [2, -1], [0, 0]]], axis=-1)
+    axes = {"belt_speed": SPEEDS, "damping_ratio": DAMPING, "realisation": [0, 1]}
+    data = results(axes, counts, 3)
+    with pytest.raises(ValueError, match=r"`realisation` of 2 .* `data.isel\(realisation=0\)`"):
+        plot_map(data)
+
+    def share(data):
+        return (data["active_count"] > 0).mean("realisation").rename("share that vibrates")
+
+    shown = plot_map(data, value=share)
+    drawn = meshes(shown)[0].get_array()
+    np.testing.assert_array_equal(drawn.filled(-1.0), [[0.0, 1.0, 0.5], [1.0, -1.0, 0.5]])
+    assert legend(shown) == ["1 failed:\nnonfinite"]
+    assert bar(shown).get_ylabel() == "share that vibrates"
+    by_mass = plot_map(data.isel(realisation=0, damping_ratio=1), value="amplitude")
+    np.testing.assert_array_equal(
+        meshes(by_mass)[0].get_array(), data.amplitude[:, 1, 0, :].values.T
+    )
+    assert by_mass.get_ylabel() == "oscillator $n$"
+
+
+def test_equal_ratios_over_decades_are_equal_cells_of_a_logarithmic_axis():
+    width = np.array([1e-4, 1e-3, 1e-2])
+    data = results({"belt_speed": SPEEDS, "width": width}, np.ones((3, 3)), 1)
+    axes = plot_map(data)
+    assert (axes.get_xscale(), axes.get_yscale()) == ("linear", "log")
+    np.testing.assert_allclose(edges(axes)[1], 10.0 ** np.arange(-4.5, -1.0), rtol=1e-12)
+    equal = plot_map(data.assign_coords(width=[0.01, 0.5, 0.99]))
+    assert equal.get_yscale() == "linear"
+
+
+@pytest.mark.parametrize("x", ["belt_speed", "damping_ratio"])
+def test_curves_lie_on_the_axes_of_their_parameters(x):
+    hopf, fold = (special_curve(kind) for kind in ("hopf", "fold"))
+    drawn = plot_map(runs(), x=x, curves=[hopf, fold.to_dataset()])
+    alone = plot_special_curves([hopf, fold])
+    way = 1 if x == "belt_speed" else -1
+    assert legend(drawn) == ["Hopf point", "generalised Hopf", "fold"]
+    for own, other in zip(drawn.get_lines(), alone.get_lines(), strict=True):
+        assert own.get_label() == other.get_label()
+        assert (own.get_color(), own.get_marker()) == (other.get_color(), other.get_marker())
+        np.testing.assert_array_equal(np.stack(own.get_data())[::way], np.stack(other.get_data()))
+    line = np.stack(drawn.get_lines()[0].get_data())[::way, ::PARTS]
+    np.testing.assert_allclose(line, (hopf.first, hopf.second))
+    assert drawn.get_xlim() == tuple(edges(drawn)[0][[0, -1]])
+
+
+def test_a_map_in_si_units_has_its_curves_there_too():
+    data = runs()
+    data["belt_speed"].attrs["units"] = "x0 omega_n"
+    data["energy"].attrs["units"] = "x0^2"
+    own = plot_map(data, curves=special_curve(), scales=SCALES)
+    assert own.get_xlabel() == "belt speed $v_d$ (m/s)"
+    assert bar(own).get_ylabel() == "vibration energy $E$ (m²)"
+    np.testing.assert_allclose(edges(own)[0], [0.45, 0.55, 0.7, 0.9])  # x0 omega_n = 0.5 m / s
+    np.testing.assert_allclose(meshes(own)[0].get_array(), 0.0025 * data.energy.values.T)
+    plain = plot_map(data, curves=special_curve())
+    line, expected = (np.asarray(axes.get_lines()[0].get_xydata()) for axes in (own, plain))
+    np.testing.assert_allclose(line, expected * [0.5, 1.0])
+
+
+def test_what_is_swept_along_a_dimension_serves_as_an_axis_on_axes_that_are_given():
+    data = ladder().rename(belt_speed="sample")
+    speeds = data["sample"].values[::-1]
+    data = data.drop_vars("sample").assign_coords(belt_speed=("sample", speeds))
+    given = Figure().subplots()
+    assert plot_map(data, x="belt_speed", y="excited", value="active_share", ax=given) is given
+    expected = data.active_count.values[::-1].T / 6
+    np.testing.assert_allclose(meshes(given)[0].get_array(), expected)
+    with pytest.raises(ValueError, match="two or more different numbers"):
+        plot_map(data.assign_coords(belt_speed=("sample", np.ones(10))), x="belt_speed")
+
+
+def test_a_million_runs_are_drawn_as_pixels_in_a_small_file(tmp_path):
+    axes = {"belt_speed": np.linspace(0, 2, 1000), "damping_ratio": np.linspace(0, 1, 1000)}
+    data = results(axes, np.arange(1_000_000).reshape(1000, 1000) % 3, 2)
+    shown = plot_map(data, value="active_count")
+    page: Any = shown.get_figure(root=True)
+    save_figure(page, tmp_path / "million")
+    assert (tmp_path / "million.pdf").stat().st_size < 1e6
