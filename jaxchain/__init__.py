@@ -4,6 +4,7 @@ The most-used names can be imported from `jaxchain`; the rest live in submodules
 
 - `model`: the chain: masses on a moving belt, springs, friction, initial states
 - `continuation`: roots of equations, their derivatives, and branches of solutions
+- `kinds`: special points of cycles, on branches and on curves
 - `observers`: quantities to measure along a run
 - `solvers`: structured Rosenbrock methods and step-size control
 - `simulation`: one run, smoothed or dry
@@ -29,7 +30,7 @@ import lazy_loader
 __version__ = "0.2.0"
 
 SUBMODULES = (
-    "model", "continuation", "observers", "solvers", "simulation", "sweeps", "cycles",
+    "model", "continuation", "kinds", "observers", "solvers", "simulation", "sweeps", "cycles",
     "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes",
 )  # fmt: skip
 

@@ -4,6 +4,7 @@ from . import chaos as chaos
 from . import continuation as continuation
 from . import cycles as cycles
 from . import inverse as inverse
+from . import kinds as kinds
 from . import localization as localization
 from . import model as model
 from . import observers as observers

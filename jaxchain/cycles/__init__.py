@@ -5,6 +5,7 @@
 - `deflation`: `find_limit_cycles`: cycles that are not known yet, from many starts
 - `floquet`: a limit cycle, its monodromy matrix and Floquet multipliers
 - `limit_cycle`: `find_limit_cycle`, from guesses of every kind, smoothed or dry
+- `orbit`: what the equations of every closed orbit have
 - `phases`: cycles of dry friction as sequences of phases, which may only just touch an event
 - `sequences`: how these sequences change along a branch
 - `shooting`: the equations of periodic orbits: flow, section, coordinates, minimal period

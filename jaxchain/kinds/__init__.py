@@ -9,3 +9,7 @@
 
 They know an orbit by the methods of `AbstractOrbit`, see `cycles/orbit.py`.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
