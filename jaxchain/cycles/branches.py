@@ -19,6 +19,7 @@ from jaxtyping import Complex, Float
 
 from .._checks import (
     check_concrete,
+    check_count,
     check_function,
     check_kind,
     check_one_of,
@@ -598,6 +599,7 @@ def _follow(
     """A branch, with dry friction piece by piece, see `cycles/sequences.py`."""
     pieces: list[tuple[AbstractOrbit, Branch]] = []
     points: list[tuple[AbstractKind, AbstractOrbit, SpecialPoint]] = []
+    check_count("max_points", options["max_points"])
     room = np.inf if options["max_points"] is None else options["max_points"]
     first_p = 0.0 if start is None else start.p
     while start is not None and room > 0:

@@ -60,7 +60,7 @@ class BranchPoint(AbstractKind):
     """Another branch of cycles crosses: the determinant of [F_z; tangent^T] changes its sign."""
 
     name = "branch point"
-    is_followed = False
+    instead = "use `switch_cycle` to follow the other branch through it."
 
     def value(self, orbit: Any, point: Point, beside: Point) -> float:
         """The determinant, over its size at `beside`."""

@@ -18,7 +18,7 @@ class Hopf(AbstractTested):
     """The amplitude vanishes; the equations go on in the mirror image of the branch."""
 
     name = "hopf"
-    is_followed = False
+    instead = "use `find_hopf_point`."
     is_end = True
 
     def test(self, orbit: Any, extra: Any) -> float:

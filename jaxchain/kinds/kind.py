@@ -53,7 +53,8 @@ class Unknowns(NamedTuple):
 class AbstractKind(abc.ABC):
     """A kind of special point, as a constant of compiled programs.
 
-    - `name`, as `CyclePoint.kind` has it; `is_followed`: whether such points form a curve.
+    - `name`, as `CyclePoint.kind` has it; `instead`: what to use where such points form
+      no curve, or "".
     - `is_end`: whether a branch, or its part with this sequence of phases, ends there; its test is
       then positive before; `goes_on`: whether it may go on with another sequence.
     - `of_multipliers`: whether the test depends on multipliers, which have an error.
@@ -64,7 +65,7 @@ class AbstractKind(abc.ABC):
     """
 
     name: str
-    is_followed = True
+    instead = ""
     is_end = False
     goes_on = False
     of_multipliers = False
@@ -126,11 +127,11 @@ class AbstractKind(abc.ABC):
 
     def followed(self, orbit: Any, point: Any) -> tuple[AbstractKind, list[float]]:
         """(the kind of its curve, the first values of its further unknowns)."""
-        if not self.is_followed:
+        if self.instead:
             raise ValueError(
-                f'Argument `point` is a "{self.name}", which is not followed: folds, period '
-                "doublings, symmetry breakings, tori, changes of the sequence of phases and "
-                "`events` are."
+                f"Argument `point` must be a fold, period doubling, symmetry breaking, torus, "
+                "change of the sequence of phases or one of `events`, but is a "
+                f'"{self.name}": {self.instead}'
             )
         return self, []
 
