@@ -374,7 +374,7 @@ def loop(
     chain = paper_chain(n=6, belt_speed=1.5, width=None)
     last = simulate(chain, equation_8(chain, 1), 1000.0).state
     times, states = loop(chain, last)
-    save_gif(animate(times, states, chain), "chain.gif")
+    animate(times, states, chain).save("chain.gif")
     ```
     """
     as_chain(model, name="model")
