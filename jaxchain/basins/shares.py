@@ -33,6 +33,7 @@ from .._checks import (
 from .._statistics import student_reach, wilson
 from .._types import Given, ScalarLike, State
 from ..chaos.classification import verdicts
+from ..datasets import Variable, along, dataset, oscillators
 from ..model.arguments import as_chain, as_model
 from ..model.model import AbstractModel
 from ..result import ended_well
@@ -344,10 +345,6 @@ def to_dataset(
 
     **Arguments:** `points` of the cube, of all starts; `judge`, whether verdicts are wanted.
     """
-    from xarray import Dataset
-
-    from ..simulation.dataset import LONG_NAMES
-
     chain, classify, known_states = runs.chain, runs.classify, tally.states
     state, at_end = tally.state, tally.at_end
     numbers = [dict(classify.numbers(code, chain)) for code in tally.codes]
@@ -363,58 +360,50 @@ def to_dataset(
     starts = [np.full((*first.shape, runs.n), np.nan) for _ in started]
     for part, values in zip(starts, started, strict=True):
         part[indices, states] = values
-    dims, shape = tuple(runs.shape), tuple(runs.shape.values())
+    shape = tuple(runs.shape.values())
 
-    def over(values: np.ndarray, *more: str, states: bool = True) -> tuple:
-        axis = 1 + more.index("state") if states else 0
-        values = np.take(values, order, axis) if states else values
-        return (*dims, *more), values.reshape((*shape, *values.shape[1:]))
+    def over(values: np.ndarray, text: str, *dims: str, units: str = "1") -> Variable:
+        if "state" in dims:
+            values = np.take(values, order, 1 + dims.index("state"))
+        return Variable(values.reshape((*shape, *values.shape[1:])), dims, units, text)
 
-    end = tally.shares(at_end, known_states + 2).mean(1)
-    about_k = {
-        "share": (bars.share, "share of the starts that end in the state"),
-        "low": (bars.low, "lower end of the 95 % interval of the share"),
-        "high": (bars.high, "upper end of the 95 % interval of the share"),
-        "share_at_end": (end, "share of the starts in the state when their runs ended"),
-        "settling_time": (settling, "median time from which nothing changed"),
+    share, end = (tally.shares(numbers, known_states + 2) for numbers in (state, at_end))
+    last = "share of the starts in the state when their runs ended"
+    settled = "median time from which nothing changed"
+    variables = {
+        "share": over(bars.share, "share of the starts that end in the state", "state"),
+        "low": over(bars.low, "lower end of the 95 % interval of the share", "state"),
+        "high": over(bars.high, "upper end of the 95 % interval of the share", "state"),
+        "share_at_end": over(end.mean(1), last, "state"),
+        "settling_time": over(settling, settled, "state", units=chain.time_unit),
+        "replicate_share": over(share, "share in one sequence of starts", "replicate", "state"),
     }
-    units = {"settling_time": chain.time_unit}
-    variables: dict[str, Any] = {
-        name: (*over(values, "state"), {"long_name": text, "units": units.get(name, "1")})
-        for name, (values, text) in about_k.items()
-    }
-    variables["replicate_share"] = (
-        *over(tally.shares(state, known_states + 2), "replicate", "state"),
-        {"long_name": "share in one sequence of starts", "units": "1"},
-    )
     for k, values in enumerate(starts):
         name, unit, _ = chain.variable(k)
-        attrs = {"long_name": f"{name} of a start that ends in the state", "units": unit}
-        variables[f"start_{name}"] = (*over(values, "state", "oscillator"), attrs)
+        text = f"{name} of a start that ends in the state"
+        variables[f"start_{name}"] = over(values, text, "state", "oscillator", units=unit)
     if judge:
         words = np.full(first.shape, "", dtype="<U32")
         progress = runs.numerics["progress"]
         words[indices, states] = verdicts_of(runs, indices, started, progress)
-        attrs = {"long_name": "verdict on the motion from that start", "units": "1"}
-        variables["verdict"] = (*over(words, "state"), attrs)
-    alone = {
-        "undecided": (bars.share[:, known_states], "share of the starts that are not decided"),
-        "misclassified": (seen.lost.sum(1), "share of the starts decided too early"),
-        "changed_later": (seen.leaving.sum(1), "share of the starts in another state later"),
+        variables["verdict"] = over(words, "verdict on the motion from that start", "state")
+    undecided = bars.share[:, known_states]
+    variables |= {
+        "undecided": over(undecided, "share of the starts that are not decided"),
+        "misclassified": over(seen.lost.sum(1), "share of the starts decided too early"),
+        "changed_later": over(seen.leaving.sum(1), "share of the starts in another state later"),
     }
-    for name, (values, text) in alone.items():
-        attrs = {"long_name": text, "units": "1"}
-        variables[name] = (*over(values, states=False), attrs)
-    coords = dict(runs.coords)
-    attrs = {"long_name": "state in which a run ends"}
-    coords["state"] = ("state", np.array([names[k] for k in order]), attrs)
-    masses = {"long_name": LONG_NAMES["oscillator"], "units": "1"}
-    coords["oscillator"] = ("oscillator", np.arange(1, runs.n + 1), masses)
+    all_names = np.array([names[k] for k in order])
+    coords = {
+        **runs.coords,
+        "state": Variable(all_names, ("state",), None, "state in which a run ends"),
+        "oscillator": oscillators(runs.n, "1"),
+    }
     for name in numbers[0] if numbers else ():
         column = [numbers[k][name] if k < known_states else np.nan for k in order]
-        attrs = {"long_name": f"{name}, as the classifier says of the state", "units": "1"}
-        coords[name] = ("state", np.array(column, float), attrs)
-    return Dataset(variables, coords=coords, attrs=runs.attrs)
+        text = f"{name}, as the classifier says of the state"
+        coords[name] = Variable(np.array(column, float), ("state",), "1", text)
+    return dataset(along(variables, *runs.shape), coords, runs.attrs)
 
 
 def _of_states(state: np.ndarray, since: np.ndarray, states: int) -> tuple[np.ndarray, np.ndarray]:
@@ -670,18 +659,17 @@ def share_differences(shares: Dataset, dim: str) -> Dataset:
     change = replicates[1:].values - replicates[:-1].values
     axis = replicates.dims.index("replicate")
     mean, reach = of_replicates(change, axis)
-    dims = [name for name in replicates.dims if name != "replicate"]
+    dims = tuple(str(name) for name in replicates.dims if name != "replicate")
     at = shares[dim].values
-    coords = {name: c for name, c in shares.coords.items() if dim not in c.dims and name in dims}
+    coords = {
+        str(name): c for name, c in shares.coords.items() if dim not in c.dims and name in dims
+    }
     parts = {
         "difference": (mean, "difference of the shares at neighbouring values"),
         "low": (mean - reach, "lower end of its 95 % interval"),
         "high": (mean + reach, "upper end of its 95 % interval"),
     }
-    return Dataset(
-        {
-            name: (dims, values, {"long_name": text, "units": "1"})
-            for name, (values, text) in parts.items()
-        },
-        coords={**coords, dim: (dim, (at[1:] + at[:-1]) / 2, shares[dim].attrs)},
+    return dataset(
+        {name: Variable(values, dims, "1", text) for name, (values, text) in parts.items()},
+        {**coords, dim: (dim, (at[1:] + at[:-1]) / 2, shares[dim].attrs)},
     )

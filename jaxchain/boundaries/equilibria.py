@@ -741,10 +741,7 @@ def continue_equilibrium(
 
 def labels_of(model: AbstractModel, m: int, name: str) -> Labels:
     """Of a branch of equilibria."""
-    parts = [model.variable(i) for i in range(m)]
-    words = [part.name if model.components else part.long_name for part in parts]
-    attrs = {
-        part.name: {"long_name": name, "units": part.unit}
-        for part, name in zip(parts, words, strict=True)
-    }
-    return Labels(name, model.parameter(name).attrs, attrs)
+    row, parts = model.parameter(name), [model.variable(i) for i in range(m)]
+    if model.components:
+        parts = [part._replace(long_name=part.name) for part in parts]
+    return Labels(name, row.unit, row.long_name, parts)

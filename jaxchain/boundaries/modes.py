@@ -21,10 +21,11 @@ from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
+from ..datasets import Variable, along, dataset
 from ..model.arguments import as_model, as_parameter
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
-from ..model.provenance import environment, parameters_of
+from ..model.provenance import provenance_of
 from ..result import Outcome, SearchResult
 from .equilibria import Rates, equilibria_over, labels_of, near_equilibrium, rest_residual
 
@@ -93,50 +94,38 @@ class ComplexModes(Outcome):
 
         **Raises:** `ValueError` for traced modes, and for the modes of many models.
         """
-        from xarray import Dataset  # it imports pandas, which takes long
-
         if is_traced(self.eigenvalues) or self.eigenvalues.ndim != 2:
             raise ValueError(
                 "`ComplexModes.to_dataset` needs the modes of one model, outside of `jit` and "
                 f"`vmap`, but has eigenvalues of shape {self.eigenvalues.shape}."
             )
         name = self.parameter or "point"
-        _, about, parts = labels_of(self.chain, len(self.state), name)
+        _, units, text, parts = labels_of(self.chain, len(self.state), name)
         rate = "1" if self.chain.time_unit == "1" else "omega_n"
         shapes: Any = np.stack([np.asarray(part) for part in self.shapes], axis=2)
         equilibrium = np.stack([np.asarray(part) for part in self.state], axis=1)
-        per, table = f"{rate} per unit of {name}", (name, "mode")
-        dims = (name, "mode", "component", "oscillator")
-        rows = {
-            "frequency": (self.frequency, "angular frequency", rate),
-            "growth_rate": (self.growth_rate, "growth rate", rate),
-            "damping_ratio": (self.damping_ratio, "damping ratio", "1"),
-            "frequency_slope": (jnp.imag(self.slopes), f"d frequency / d {name}", per),
-            "growth_slope": (jnp.real(self.slopes), f"d growth rate / d {name}", per),
-            "mac": (self.mac, "modal assurance criterion with the value before", "1"),
+        per, n = f"{rate} per unit of {name}", self.state[0].shape[-1]
+        each, mac = ("component", "oscillator"), "modal assurance criterion with the value before"
+        of_modes = {
+            "frequency": Variable(self.frequency, (), rate, "angular frequency"),
+            "growth_rate": Variable(self.growth_rate, (), rate, "growth rate"),
+            "damping_ratio": Variable(self.damping_ratio, (), "1", "damping ratio"),
+            "frequency_slope": Variable(self.slopes.imag, (), per, f"d frequency / d {name}"),
+            "growth_slope": Variable(self.slopes.real, (), per, f"d growth rate / d {name}"),
+            "mac": Variable(self.mac, (), "1", mac),
+            "shape_real": Variable(shapes.real, each, None, "mode shape, real part"),
+            "shape_imag": Variable(shapes.imag, each, None, "mode shape, imaginary part"),
         }
-        return Dataset(
+        return dataset(
+            along(of_modes, name, "mode")
+            | {"equilibrium": Variable(equilibrium, (name, *each), None, "equilibrium")},
             {
-                key: (table, np.asarray(value), {"long_name": text, "units": units})
-                for key, (value, text, units) in rows.items()
-            }
-            | {
-                "shape_real": (dims, shapes.real, {"long_name": "mode shape, real part"}),
-                "shape_imag": (dims, shapes.imag, {"long_name": "mode shape, imaginary part"}),
-                "equilibrium": ((dims[0], *dims[2:]), equilibrium, {"long_name": "equilibrium"}),
-            },
-            coords={
-                name: (name, np.asarray(self.values), about),
+                name: Variable(self.values, (name,), units, text),
                 "mode": np.arange(1, self.eigenvalues.shape[1] + 1),
-                "component": [*parts],
-                "oscillator": np.arange(1, self.state[0].shape[-1] + 1),
+                "component": [part for part, *_ in parts],
+                "oscillator": np.arange(1, n + 1),
             },
-            attrs={
-                "parameters": parameters_of(
-                    self.chain, self.state[0].shape[-1], [name] if self.parameter else []
-                ),
-                **environment(),
-            },
+            provenance_of(self.chain, n, [name] if self.parameter else []),
         )
 
 

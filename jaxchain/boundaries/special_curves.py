@@ -44,6 +44,7 @@ from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
 from ..cycles.orbit import AbstractOrbit
 from ..cycles.phases import MET, OTHER_EVENTS, phases_of, slip_phases
 from ..cycles.shooting import SMALL
+from ..datasets import Variable, along, dataset, oscillators
 from ..kinds.changes import NAMES
 from ..kinds.fold import Fold
 from ..kinds.hopf import Hopf
@@ -52,7 +53,8 @@ from ..model.arguments import as_mass, as_model, as_parameter
 from ..model.chain import require_smoothed
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
-from ..model.provenance import environment, parameters_of
+from ..model.provenance import provenance_of
+from ..observers.amplitude import amplitude_variables
 from ..result import Outcome, Printed, SearchResult
 from .equilibria import HopfPoint, HopfSystem, Rates, find_hopf_point, lyapunov_coefficient
 from .grazing import Grazing
@@ -605,71 +607,41 @@ class SpecialCurve(Printed):
         `first`, `second`, `ended_first`, `ended_last`, `parameters` and those of
         `CycleBranch.to_dataset`.
         """
-        # xarray imports pandas, which would double the import time.
-        from xarray import Dataset
+        n, place = self.amplitude.shape[1], "it lies between this point of the curve and the next"
 
-        rows, n = [parameter(name) for name in self.names], self.amplitude.shape[1]
+        def special(name: str, kind: type = float) -> np.ndarray:
+            return np.array([getattr(point, name) for point in self.special]).astype(kind)
 
-        def special(name: str) -> np.ndarray:
-            return np.array([getattr(point, name) for point in self.special])
+        def numbers(*columns: np.ndarray) -> dict[str, Variable]:
+            rows = zip(map(parameter, self.names), columns, strict=True)
+            return {row.name: Variable(v, (), row.unit, row.long_name) for row, v in rows}
 
-        each = ("point", "oscillator")
-        height = "vibration amplitude A_n (half peak-to-peak)"
-        there = "it lies between this point of the curve and the next"
-        table = {
-            "period": (
-                "point",
-                self.period,
-                "period T, at a Hopf point 2 pi / omega",
-                "1 / omega_n",
-            ),
-            "amplitude": (each, self.amplitude, height, "x0"),
-            "residual": ("point", self.residual, "greatest residual, last but one", "1"),
-            "point_kind": ("point", np.array(self.kinds), "kind of the point", None),
-            "special_kind": (
-                "special",
-                special("kind").astype(str),
-                "kind of special point",
-                None,
-            ),
-            "special_error": (
-                "special",
-                special("error"),
-                "error of the second number there",
-                "1",
-            ),
-            "special_index": ("special", special("index").astype(int), there, "1"),
+        period = "period T, at a Hopf point 2 pi / omega"
+        of_points = {
+            "period": Variable(self.period, (), "1 / omega_n", period),
+            "amplitude": amplitude_variables(jnp.asarray(self.amplitude), None)["amplitude"],
+            "residual": Variable(self.residual, long_name="greatest residual, last but one"),
+            "point_kind": Variable(self.kinds, (), None, "kind of the point"),
         }
-        named = dict(zip(("first", "second"), rows, strict=True))
-        return Dataset(
-            {
-                name: (
-                    dims,
-                    values,
-                    {"long_name": text} | ({} if unit is None else {"units": unit}),
-                )
-                for name, (dims, values, text, unit) in table.items()
-            }
-            | {
-                f"special_{row.name}": ("special", special(name).astype(float), row.attrs)
-                for name, row in named.items()
-            },
-            coords={
-                **{
-                    row.name: ("point", getattr(self, name), row.attrs)
-                    for name, row in named.items()
-                },
-                "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
-            },
-            attrs={
-                "kind": self.kind,
-                "first": rows[0].name,
-                "second": rows[1].name,
-                "ended_first": self.ended[0],
-                "ended_last": self.ended[1],
-                "parameters": parameters_of(self.chain, n, list(self.names)),
-                **environment(),
-            },
+        of_special = {
+            "kind": Variable(special("kind", str), (), None, "kind of special point"),
+            "error": Variable(special("error"), (), "1", "error of the second number there"),
+            "index": Variable(special("index", int), (), "1", place),
+            **numbers(special("first"), special("second")),
+        }
+        return dataset(
+            along(of_points, "point") | along(of_special, "special", prefix="special_"),
+            along(numbers(self.first, self.second), "point") | {"oscillator": oscillators(n)},
+            provenance_of(
+                self.chain,
+                n,
+                self.names,
+                kind=self.kind,
+                first=self.names[0],
+                second=self.names[1],
+                ended_first=self.ended[0],
+                ended_last=self.ended[1],
+            ),
         )
 
 

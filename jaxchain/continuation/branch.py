@@ -5,7 +5,7 @@ Everything here is plain data on the host, in NumPy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .._final import final
+from ..datasets import Variable, along, dataset, oscillators
 from ..result import Printed
 
 if TYPE_CHECKING:
@@ -115,15 +116,15 @@ class Counts:
 
 
 class Labels(NamedTuple):
-    """Names for datasets and pictures, with the attributes of each in a dataset.
+    """Names for datasets: the parameter, and (name, unit, long name) of the parts of u.
 
-    `parameter`: the name of the parameter; `attrs` of it; `parts`: name -> attributes of the parts
-    of u, which have one entry for each cell.
+    A part has one entry for each cell.
     """
 
     parameter: str
-    attrs: Mapping[str, str]
-    parts: Mapping[str, Mapping[str, str]]
+    units: str | None
+    long_name: str
+    parts: Sequence[tuple[str, str, str]]
 
 
 @final
@@ -204,36 +205,31 @@ class Branch(Printed):
             >>> data.u.dims, data.special_kind.values[0], data.special_parameter.values[0].round(9)
             (('point', 'unknown'), np.str_('fold'), np.float64(1.0))
         """
-        # xarray imports pandas, which would double the import time.
-        from xarray import Dataset
-
-        points = [(point.kind, point.p, point.error) for point in self.special]
-        more = [(point.index, point.refined) for point in self.special]
-        name, attrs, parts = self.labels or ("p", {"long_name": "parameter p"}, {})
-        special = special_variables(points, more, attrs.get("units", "1"))
-        u = np.reshape([point.u for point in self.special], (-1, self.u.shape[1]))
+        name, units, text, parts = self.labels or Labels("p", None, "parameter p", ())
+        special = np.reshape([point.u for point in self.special], (-1, self.u.shape[1]))
         if parts:
-            columns, coords = self._columns(u, parts)
+            columns, n = _columns(self.u, parts), self.u.shape[1] // len(parts)
+            there, coords = _columns(special, parts), {"oscillator": oscillators(n)}
         else:
-            columns, coords = (
-                {
-                    "u": (("point", "unknown"), self.u, {"long_name": "unknowns u"}),
-                    "special_u": (("special", "unknown"), u, {"long_name": "unknowns u there"}),
-                },
-                {},
-            )
+            columns = {"u": Variable(self.u, ("unknown",), None, "unknowns u")}
+            there = {"u": Variable(special, ("unknown",), None, "unknowns u there")}
+            coords = {}
+        of_points = {}
         if self.stable is not None:
-            text = "whether all eigenvalues have negative real parts"
-            columns["stable"] = ("point", self.stable, {"long_name": text})
-        return Dataset(
+            stable = "whether all eigenvalues have negative real parts"
+            of_points["stable"] = Variable(self.stable, (), None, stable)
+        of_points |= {
+            "arclength": Variable(self.arclength, (), None, "length along the branch"),
+            "residual": Variable(self.residuals, (), None, "greatest |F|, last but one"),
+        }
+        parameters = [point.p for point in self.special]
+        return dataset(
+            along(columns, "point")
+            | along(there, "special", prefix="special_")
+            | along(of_points, "point")
+            | special_variables(self.special, parameters, units or "1"),
+            {name: Variable(self.p, ("point",), units, text), **coords},
             {
-                **columns,
-                "arclength": ("point", self.arclength, {"long_name": "length along the branch"}),
-                "residual": ("point", self.residuals, {"long_name": "greatest |F|, last but one"}),
-                **special,
-            },
-            coords={name: ("point", self.p, attrs), **coords},
-            attrs={
                 "parameter": name,
                 "ended": self.ended,
                 "message": self.message,
@@ -241,21 +237,17 @@ class Branch(Printed):
             },
         )
 
-    def _columns(
-        self, special: np.ndarray, parts: Mapping[str, Mapping[str, str]]
-    ) -> tuple[dict[str, tuple], dict[str, tuple]]:
-        """The parts of u at points and special points as variables, and their coordinate."""
-        columns: dict[str, tuple] = {}
-        n = self.u.shape[1] // len(parts)
-        for prefix, dim, u in (("", "point", self.u), ("special_", "special", special)):
-            for i, (name, attrs) in enumerate(parts.items()):
-                part = u[:, i * n : (i + 1) * n]
-                columns[prefix + name] = ((dim, "oscillator"), part, attrs)
-                if n > 1:
-                    mean = {**attrs, "long_name": f"mean {attrs['long_name']}"}
-                    columns[f"{prefix}mean_{name}"] = (dim, part.mean(axis=1), mean)
-        oscillators = np.arange(1, n + 1), {"long_name": "oscillator n"}
-        return columns, {"oscillator": ("oscillator", *oscillators)}
+
+def _columns(u: np.ndarray, parts: Sequence[tuple[str, str, str]]) -> dict[str, Variable]:
+    """The parts of u as variables, with the means over several cells."""
+    columns: dict[str, Variable] = {}
+    n = u.shape[1] // len(parts)
+    for i, (name, unit, text) in enumerate(parts):
+        part = u[:, i * n : (i + 1) * n]
+        columns[name] = Variable(part, ("oscillator",), unit, text)
+        if n > 1:
+            columns[f"mean_{name}"] = Variable(part.mean(axis=1), (), unit, f"mean {text}")
+    return columns
 
 
 def joined(back: Branch, ahead: Branch) -> Branch:
@@ -293,36 +285,26 @@ def joined(back: Branch, ahead: Branch) -> Branch:
 
 
 def special_variables(
-    points: Sequence[tuple[str, Any, Any]],
-    more: Sequence[tuple[int, bool]],
-    units: str = "1",
-) -> dict[str, tuple]:
+    points: Sequence[Any], parameters: Sequence[Any], units: str
+) -> dict[str, Variable]:
     """Special points as variables of a dataset, over the dimension `special`.
 
-    **Arguments:** (kind, parameter, error of it) of each; (index, refined) of each; `units` of the
-    parameter.
+    **Arguments:** `points`, each with `kind`, `error`, `index` and `refined`; the `parameters`
+    there, and their `units`.
     """
-    kinds, values, errors = zip(*points, strict=True) if points else ((), (), ())
-    index, refined = zip(*more, strict=True) if more else ((), ())
+
+    def each(name: str, kind: type) -> np.ndarray:
+        return np.array([getattr(point, name) for point in points], kind)
+
+    place = "it lies between this point of the branch and the next"
     columns = {
-        "kind": (np.array(kinds, dtype=str), "kind of special point", None),
-        "parameter": (np.array(values, float), "parameter there", units),
-        "error": (np.array(errors, float), "error of the parameter there", units),
-        "index": (
-            np.array(index, int),
-            "it lies between this point of the branch and the next",
-            "1",
-        ),
-        "refined": (np.array(refined, bool), "whether it is solved for", None),
+        "kind": Variable(each("kind", str), (), None, "kind of special point"),
+        "parameter": Variable(np.array(parameters, float), (), units, "parameter there"),
+        "error": Variable(each("error", float), (), units, "error of the parameter there"),
+        "index": Variable(each("index", int), (), "1", place),
+        "refined": Variable(each("refined", bool), (), None, "whether it is solved for"),
     }
-    return {
-        f"special_{name}": ("special", column, {"long_name": text, **_units(unit)})
-        for name, (column, text, unit) in columns.items()
-    }
-
-
-def _units(unit: str | None) -> dict[str, str]:
-    return {} if unit is None else {"units": unit}
+    return along(columns, "special", prefix="special_")
 
 
 class BranchRecorder:

@@ -8,7 +8,7 @@ more, even for a symmetric orbit, which has fewer equations.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -39,13 +39,14 @@ from ..continuation.arclength import (
     switch_branch,
 )
 from ..continuation.branch import ENDINGS, Branch, Point, SpecialPoint, special_variables
+from ..datasets import Variable, along, dataset, oscillators
 from ..kinds.changes import NAMES
 from ..kinds.event import Event
 from ..kinds.fold import BranchPoint, Fold
 from ..kinds.kind import AbstractKind, AbstractTested
 from ..model.arguments import as_mass, as_parameter
 from ..model.model import AbstractModel
-from ..model.provenance import environment, parameters_of
+from ..model.provenance import provenance_of
 from ..observers.amplitude import amplitude_variables
 from ..observers.base import renamed
 from ..result import Printed
@@ -245,12 +246,6 @@ class CycleBranch(Printed):
             "unstable": self.unstable,
         }
 
-    def _named(self, states: list[np.ndarray]) -> Iterator[tuple[str, np.ndarray, str]]:
-        """Name, values and unit of each variable of a cell."""
-        field = self.orbit.field
-        for i, part in enumerate(states):
-            yield field.variable(i).name, part, field.variable(i).unit
-
     def to_dataset(self) -> Dataset:
         """The branch as an `xarray.Dataset`, with the names and units of those of `sweep`.
 
@@ -281,94 +276,65 @@ class CycleBranch(Printed):
             data.to_netcdf("branch.nc", engine="h5netcdf")
             ```
         """
-        # xarray imports pandas, which would double the import time.
-        from xarray import Dataset
-
-        special, k = self.special, len(self.parameter)
-        row = self.orbit.field.parameter(self.name)
+        special, k, field = self.special, len(self.parameter), self.orbit.field
         # All cycles; those of the special points come last.
-        parameters, period, amplitude, multipliers = (
+        parameters, period, amplitude, peak, multipliers = (
             np.stack([*getattr(self, name), *(getattr(point, name) for point in special)])
-            for name in ("parameter", "period", "amplitude", "multipliers")
+            for name in ("parameter", "period", "amplitude", "scaled_peak_velocity", "multipliers")
         )
-        states = [
-            np.stack([*part, *(point.state[i] for point in special)])
-            for i, part in enumerate(self.state)
-        ]
-        scaled_peak_velocity = np.append(
-            self.scaled_peak_velocity, [point.scaled_peak_velocity for point in special]
-        )
-        field = self.orbit.field
-        time = field.time_unit
         speed = getattr(field, "belt_speed", None)
         speed = parameters if self.name == "belt_speed" else speed
-        labels = renamed(amplitude_variables(jnp.asarray(amplitude), speed), field, 0)
-        each, multiplier = ("oscillator",), ("multiplier",)
-        of_cycles = {
-            **{
-                name: (v.dims, np.asarray(v.values), v.long_name, v.units)
-                for name, v in labels.items()
-            },
-            "period": ((), period, "least period T", time),
-            **{
-                name: (each, part, f"{name} where the cycle is cut", unit)
-                for name, part, unit in self._named(states)
-            },
-            "scaled_peak_velocity": (
-                (),
-                scaled_peak_velocity,
-                "max w / eps of the mass that is cut",
-                "1",
+        of_cycles = renamed(amplitude_variables(jnp.asarray(amplitude), speed), field, 0)
+        of_cycles["period"] = Variable(period, (), field.time_unit, "least period T")
+        for i, part in enumerate(self.state):
+            name, unit, _ = field.variable(i)
+            states = np.stack([*part, *(point.state[i] for point in special)])
+            text = f"{name} where the cycle is cut"
+            of_cycles[name] = Variable(states, ("oscillator",), unit, text)
+        each, real, imaginary = ("multiplier",), np.real(multipliers), np.imag(multipliers)
+        of_cycles |= {
+            "scaled_peak_velocity": Variable(
+                peak, long_name="max w / eps of the mass that is cut"
             ),
-            "multiplier_real": (
-                multiplier,
-                np.real(multipliers),
-                "real part of the multiplier",
-                "1",
-            ),
-            "multiplier_imag": (multiplier, np.imag(multipliers), "imaginary part of it", "1"),
+            "multiplier_real": Variable(real, each, "1", "real part of the multiplier"),
+            "multiplier_imag": Variable(imaginary, each, "1", "imaginary part of it"),
         }
-        unstable, defect = self.unstable, self.trivial_defect
-        of_points = {
-            "unstable_count": ((), unstable, "multipliers beyond the unit circle", "1"),
-            "stable": ((), unstable == 0, "whether no multiplier is beyond the unit circle", "1"),
-            "trivial_defect": ((), defect, "error of the trivial multiplier", "1"),
-        }
-
-        def variables(prefix: str, dim: str, rows: slice, columns: Mapping[str, tuple]) -> dict:
-            return {
-                prefix + name: ((dim, *dims), values[rows], {"long_name": text, "units": units})
-                for name, (dims, values, text, units) in columns.items()
-            }
-
-        at_special = special_variables(
-            [(point.kind, point.parameter, point.error) for point in special],
-            [(point.index, point.refined) for point in special],
-            row.unit,
-        )
-        n, shooting = self.x.shape[1], self.orbit
         of_cycles.pop(self.name, None)  # a family over its period
-        return Dataset(
-            variables("", "point", slice(k), of_cycles | of_points)
-            | at_special
-            | variables("special_", "special", slice(k, None), of_cycles),
-            coords={
-                self.name: ("point", self.parameter, row.attrs),
-                "oscillator": ("oscillator", np.arange(1, n + 1), {"long_name": "oscillator n"}),
+
+        def rows(part: slice) -> dict[str, Variable]:
+            return {name: replace(v, values=v.values[part]) for name, v in of_cycles.items()}
+
+        unstable, defect = self.unstable, self.trivial_defect
+        stable = "whether no multiplier is beyond the unit circle"
+        of_points = {
+            "unstable_count": Variable(unstable, long_name="multipliers beyond the unit circle"),
+            "stable": Variable(unstable == 0, long_name=stable),
+            "trivial_defect": Variable(defect, long_name="error of the trivial multiplier"),
+        }
+        row, n, shooting = field.parameter(self.name), self.x.shape[1], self.orbit
+        values = [point.parameter for point in special]
+        return dataset(
+            along(rows(slice(k)) | of_points, "point")
+            | special_variables(special, values, row.unit)
+            | along(rows(slice(k, None)), "special", prefix="special_"),
+            {
+                self.name: Variable(self.parameter, ("point",), row.unit, row.long_name),
+                "oscillator": oscillators(n),
             },
-            attrs={
-                "parameters": parameters_of(shooting.field, n, [self.name]),
-                "parameter": self.name,
-                "ended": self.ended,
-                "message": self.message,
-                "solver": repr(shooting.solver),
-                "rtol": float(shooting.rtol),
-                "cut_at_oscillator": self.mass + 1,
-                "images": json.dumps(shooting.images),
-                "shift": json.dumps(shooting.shift),
-                "symmetry": self.symmetry,
-                **environment(),
-            },
+            provenance_of(
+                field,
+                n,
+                [self.name],
+                parameter=self.name,
+                ended=self.ended,
+                message=self.message,
+                solver=repr(shooting.solver),
+                rtol=float(shooting.rtol),
+                cut_at_oscillator=self.mass + 1,
+                images=json.dumps(shooting.images),
+                shift=json.dumps(shooting.shift),
+                symmetry=self.symmetry,
+            ),
         )
 
 

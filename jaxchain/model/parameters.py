@@ -25,8 +25,6 @@ class Parameter(NamedTuple):
 
     >>> PARAMETERS["belt_speed"].label
     'belt speed $\\\\tilde v_d$ (–)'
-    >>> PARAMETERS["belt_speed"].attrs
-    {'long_name': 'belt speed v_d', 'units': 'x0 omega_n'}
     >>> PARAMETERS["belt_speed"].label_text
     'belt speed v_d, in x0 omega_n'
     """
@@ -56,11 +54,6 @@ class Parameter(NamedTuple):
         """The name in plain letters, for datasets and help."""
         plain = re.sub(r"\\tilde |\\(var)?|[{}]", "", self.symbol)
         return f"{self.words} {plain}".strip()
-
-    @property
-    def attrs(self) -> dict[str, str]:
-        """The attributes of a variable in a dataset."""
-        return {"long_name": self.long_name, "units": self.unit}
 
     @property
     def label_text(self) -> str:

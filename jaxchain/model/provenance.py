@@ -53,6 +53,19 @@ def parameters_of(field: AbstractModel, n: int, swept: Sequence[str]) -> str:
     return json.dumps(plain, default=leaves)
 
 
+def provenance_of(
+    model: AbstractModel, n: int, swept: Sequence[str], **more: Any
+) -> dict[str, Any]:
+    """The attributes of a dataset: `parameters_of` the model, `more`, versions, device, time."""
+    return {
+        "parameters": parameters_of(model, n, swept),
+        **more,
+        "versions": json.dumps(versions()),
+        "platform": jax.default_backend(),
+        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+    }
+
+
 def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     """The chain with the numbers of `parameters_of`; None for a law of another package."""
     named = parameters.get("friction_law")
@@ -71,12 +84,3 @@ def chain_of(parameters: Mapping[str, Any]) -> Chain | None:
     if given["width"] is not None:
         law = TanhFriction(law, given["width"])
     return Chain(given["n"], law, ends=given["ends"], **{name: given[name] for name in CHAIN})
-
-
-def environment() -> dict[str, Any]:
-    """The versions, the kind of device, and the time."""
-    return {
-        "versions": json.dumps(versions()),
-        "platform": jax.default_backend(),
-        "created": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    }

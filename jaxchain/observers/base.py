@@ -25,6 +25,7 @@ from .._computed_once import flatten
 from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
+from ..datasets import Variable
 from ..model.model import AbstractModel
 
 
@@ -315,43 +316,6 @@ def return_point(
     return lax.cond(unvmap_any(returns), nearest, lambda: (jnp.ones_like(first), last))
 
 
-@final
-class Variable(eqx.Module):
-    """A value of an observer as a variable of a dataset.
-
-    **Arguments:** `values`, with an axis for each name in `dims`; "oscillator" is the one over all
-    n masses.  `units` and `long_name`, as in the CF conventions.  `is_count`: a count is an
-    integer on disk; it is missing if it is NaN, and for failed runs.
-
-    !!! example
-
-        >>> import jax, jax.numpy as jnp
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import equation_8, paper_chain, sweep
-        >>> from jaxchain.observers import AbstractObserver, Variable
-        >>> class Sticking(AbstractObserver):  # the most masses that stick as a step ends
-        ...     def init(self, field, t0, t1, y0):
-        ...         return jnp.zeros((), int)
-        ...     def update(self, accumulator, step):
-        ...         return jnp.maximum(accumulator, (step.y1[1] == step.field.belt_speed).sum())
-        ...     def read(self, accumulator):
-        ...         return accumulator
-        ...     def label(self, value, model):
-        ...         most = Variable(value, long_name="most masses that stuck", is_count=True)
-        ...         return {"stuck": most}
-        >>> chain = paper_chain(3, belt_speed=1.0, width=None)
-        >>> data = sweep(chain, equation_8, 60.0, over={"excited": [0, 3]}, observe=Sticking())
-        >>> data.stuck.values.tolist(), data.stuck.attrs["long_name"]
-        ([0.0, 2.0], 'most masses that stuck')
-    """
-
-    values: Any
-    dims: tuple[str, ...] = eqx.field(static=True, default=())
-    units: str = eqx.field(static=True, default="1")
-    long_name: str | None = eqx.field(static=True, default=None)
-    is_count: bool = eqx.field(static=True, default=False)
-
-
 def all_finite(tree: Any, exists: Any = True) -> Bool[Array, ""]:
     """Whether all floats of a tree are finite; with `exists` (k,) in the rows that do."""
     sound = jnp.asarray(True)
@@ -390,6 +354,7 @@ def renamed(variables: dict[str, Variable], model: Any, component: int) -> dict[
     if component or model.time_unit == "1":
         words = part if words.endswith("_n") else words  # the symbols are those of the first
         square = "1" if unit == "1" else f"({unit})^2"
+        units: dict[str | None, str]
         units = {"x0": unit, "x0^2": square, "1 / omega_n": model.time_unit}
         variables = {
             name: dataclasses.replace(

@@ -25,6 +25,7 @@ from .._limits import MOST_LANES
 from ..boundaries.fold import find_fold
 from ..boundaries.hopf import hopf_belt_speed
 from ..cycles.branches import continue_cycle
+from ..datasets import Variable, dataset, labelled
 from ..model.cells import AbstractCells
 from ..model.chain import Chain
 from ..model.friction import AbstractFrictionLaw
@@ -382,11 +383,8 @@ def hopf_speed(
         return hopf_belt_speed(chain.with_(**dict(zip(swept, values, strict=True))))
 
     speeds = jnp.vectorize(speed)(*axes) if swept else speed()
-    attrs = {
-        "long_name": "Hopf speed v_H: above it steady sliding is stable",
-        "units": "x0 omega_n",
-    }
-    return xr.DataArray(np.asarray(speeds), dims=swept, attrs=attrs)
+    text = "Hopf speed v_H: above it steady sliding is stable"
+    return xr.DataArray(labelled(Variable(speeds, tuple(swept), "x0 omega_n", text)))
 
 
 def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.Dataset | None:
@@ -427,23 +425,18 @@ def cycles(chain: Chain | AbstractCells, grid: Mapping[str, np.ndarray]) -> xr.D
     hopf = [[float(hopf_belt_speed(chain))], [0.0], slip[2:, -1]]
     rows = np.concatenate([hopf, slip[:, :0:-1], stick], axis=1)
     stable = np.arange(rows.shape[1]) > slip.shape[1]
-    variables: dict[str, Any] = {
-        "stable": ("point", stable, {"long_name": "whether the cycle is stable"})
+    belt_speed, amplitude, period = rows
+    each, top = ("point",), slip.shape[1]
+    at_fold = "belt speed v_d of the fold"
+    variables = {
+        "stable": Variable(stable, each, None, "whether the cycle is stable"),
+        "belt_speed": Variable(belt_speed, each, "x0 omega_n", "belt speed v_d"),
+        "fold_belt_speed": Variable(belt_speed[top], (), "x0 omega_n", at_fold),
+        "amplitude": Variable(amplitude, each, "x0", "amplitude A, half peak-to-peak"),
+        "fold_amplitude": Variable(amplitude[top], (), "x0", "amplitude A at the fold"),
+        "period": Variable(period, each, "1 / omega_n", "period"),
     }
-    for values, (name, words, units, at_top) in zip(
-        rows,
-        (
-            ("belt_speed", "belt speed v_d", "x0 omega_n", "belt speed v_d of the fold"),
-            ("amplitude", "amplitude A, half peak-to-peak", "x0", "amplitude A at the fold"),
-            ("period", "period", "1 / omega_n", ""),
-        ),
-        strict=True,
-    ):
-        attrs = {"long_name": words, "units": units}
-        variables[name] = "point", values, attrs
-        if at_top:
-            variables[f"fold_{name}"] = (), values[slip.shape[1]], attrs | {"long_name": at_top}
-    return xr.Dataset(variables, attrs={"cut_off": " ".join(cuts)} if cuts else {})
+    return dataset(variables, attrs={"cut_off": " ".join(cuts)} if cuts else None)
 
 
 def origin_attributes(command: str = "") -> dict[str, str]:

@@ -6,15 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import jax.tree_util as jtu
 import numpy as np
 
-from ..model.provenance import environment, parameters_of
-from ..observers.base import Variable, states_at_times
+from ..datasets import Variable, along, dataset, labelled, oscillators
+from ..model.provenance import provenance_of
+from ..observers.base import states_at_times
 from ..observers.samples import Trajectory
 from ..result import NAMES, code, ended_well
 from .plan import AbstractPlan
@@ -24,18 +25,6 @@ if TYPE_CHECKING:
 
 # Dimension -> parameter -> its values along the dimension, of shape (size, ...).
 Axes: TypeAlias = dict[str, dict[str, np.ndarray]]
-LONG_NAMES = {
-    "excited": "masses excited at the start",
-    "oscillator": "oscillator n",
-    "result": "outcome of the run",
-    "end_time": "time at which the run ended",
-    "steps": "accepted steps",
-    "rejected": "rejected steps",
-    "segment": "segment of the run",
-    "segment_end": "time at which the segment ends",
-}
-# A count is written as an integer, and a missing one as this.
-_COUNT = {"dtype": "int64", "_FillValue": -1}
 
 
 def sizes(axes: Axes) -> dict[str, int]:
@@ -52,17 +41,11 @@ def describe(
     model: Any, n: int, plan: AbstractPlan, *, t0: float, t1: float, swept: Sequence[str]
 ) -> dict[str, Any]:
     """Provenance: everything needed to repeat the computation, as NetCDF-safe attributes."""
-    return {
-        "parameters": parameters_of(model, n, swept),
-        "solver": plan.method,
-        "rtol": float(plan.rtol),
-        "atol": float(plan.atol),
-        "max_step": float(plan.max_step),
-        "t0": t0,
-        "t1": t1,
-        "observers": repr(plan.observers),
-        **environment(),
-    }
+    numbers = {name: float(getattr(plan, name)) for name in ("rtol", "atol", "max_step")}
+    return provenance_of(
+        model, n, swept,
+        solver=plan.method, **numbers, t0=t0, t1=t1, observers=repr(plan.observers),
+    )  # fmt: skip
 
 
 def to_dataset(
@@ -77,62 +60,58 @@ def to_dataset(
 
     `edges`: where the segments of the runs begin, and the end of the last; None without segments.
     """
-    import xarray as xr  # imports pandas, which would double the time of `import jaxchain`
-
-    shape = sizes(axes)
-    dims, all_sizes = tuple(shape), (*shape, *(() if edges is None else ("segment",)))
+    shape, segment = sizes(axes), () if edges is None else ("segment",)
     records = jtu.tree_map(lambda a: a.reshape((*shape.values(), *a.shape[1:])), dict(records))
-    code = records["result"]
+    code, time = records["result"], model.time_unit
     well = np.asarray(ended_well(code))
-    variables: dict[str, Any] = {
-        name: _variable((*all_sizes, *variable.dims), variable, well)
-        for name, variable in records["observed"].items()
+    observed = {name: _if_known(variable, well) for name, variable in records["observed"].items()}
+
+    def count(name: str, text: str) -> Variable:  # unknown for an interrupted run
+        counts = np.where(code != NAMES.index("interrupted"), records[name], np.nan)
+        return Variable(counts, (), "1", text, is_count=True)
+
+    of_runs = {
+        "result": Variable(code, long_name="outcome of the run"),
+        "end_time": Variable(records["end_time"], (), time, "time at which the run ended"),
+        "steps": count("steps", "accepted steps"),
+        "rejected": count("rejected", "rejected steps"),
     }
-    for name in ("result", "end_time"):
-        variables[name] = dims, records[name]
-    # For an interrupted run all values are unknown.
-    finished = code != NAMES.index("interrupted")
-    for name in ("steps", "rejected"):
-        variables[name] = dims, np.where(finished, records[name], np.nan), None, _COUNT
-    coords: dict[str, Any] = {
-        name: (_dims_of(dim, name, values, n), values)
+    coords = {
+        name: _swept(dim, name, values, model, n)
         for dim, columns in axes.items()
         for name, values in columns.items()
     }
-    coords["oscillator"] = np.arange(1, n + 1)
+    coords["oscillator"] = oscillators(n, "1")
     if edges is not None:
-        coords["segment"] = np.arange(1, len(edges))
-        coords["segment_end"] = ("segment", edges[1:])
-    dataset = xr.Dataset(variables, coords=coords, attrs=dict(attrs))
-    attrs_of = {str(name): variable.attrs for name, variable in dataset.variables.items()}
-    for name in attrs_of.keys() - set(records["observed"]):
-        if name in LONG_NAMES:
-            attrs_of[name]["long_name"] = LONG_NAMES[name]
-        timed = name in ("end_time", "segment_end")
-        attrs_of[name]["units"] = model.time_unit if timed else "1"
-    for name in filter(model.has_parameter, columns_of(axes)):
-        attrs_of[name] |= model.parameter(name).attrs
-    attrs_of["result"] |= {
+        segments = Variable(np.arange(1, len(edges)), segment, "1", "segment of the run")
+        ends = Variable(edges[1:], segment, time, "time at which the segment ends")
+        coords |= {"segment": segments, "segment_end": ends}
+    data = dataset(along(observed, *shape, *segment) | along(of_runs, *shape), coords, attrs)
+    data["result"].attrs |= {
         "flag_values": np.arange(len(NAMES), dtype=code.dtype),
         "flag_meanings": " ".join(NAMES),
     }
-    return dataset
+    return data
 
 
-def _variable(dims: tuple[str, ...], variable: Variable, finished: np.ndarray) -> tuple:
-    """A variable for `xarray.Dataset`: NaN if unknown; a count is an integer on disk."""
-    attrs = {} if variable.long_name is None else {"long_name": variable.long_name}
+def _if_known(variable: Variable, finished: np.ndarray) -> Variable:
+    """The variable with NaN for runs that failed."""
     values = variable.values
     if variable.is_count or np.issubdtype(values.dtype, np.floating):
         lanes = finished.reshape(finished.shape + (1,) * (values.ndim - finished.ndim))
         values = np.where(lanes, values, np.nan)
-    return dims, values, attrs | {"units": variable.units}, _COUNT if variable.is_count else None
+    return replace(variable, values=values)
 
 
-def _dims_of(dim: str, name: str, values: np.ndarray, n: int) -> tuple[str, ...]:
-    if values.shape[1:] == (n,):
-        return dim, "oscillator"
-    return dim, *(f"{name}_{axis}" for axis in range(1, values.ndim))
+def _swept(dim: str, name: str, values: np.ndarray, model: Any, n: int) -> Variable:
+    """The coordinate of swept values: of a parameter with its unit and meaning."""
+    more = [f"{name}_{axis}" for axis in range(1, values.ndim)]
+    dims = (dim, "oscillator") if values.shape[1:] == (n,) else (dim, *more)
+    if model.has_parameter(name):
+        row = model.parameter(name)
+        return Variable(values, dims, row.unit, row.long_name)
+    text = "masses excited at the start" if name == "excited" else None
+    return Variable(values, dims, "1", text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,15 +151,15 @@ def run_dataset(origin: Origin, run: Any) -> Dataset:
         if isinstance(observer, Trajectory):
             taken, times = ["time"] if times is not None else [], observer.times
         if origin.segments is None:
-            labelled = observer.label(value, chain)
+            named = observer.label(value, chain)
         else:
-            labelled = jax.vmap(lambda one, o=observer: o.label(one, chain))(value)
-        if taken := [*taken, *labelled.keys() & observed.keys()]:
+            named = jax.vmap(lambda one, o=observer: o.label(one, chain))(value)
+        if taken := [*taken, *named.keys() & observed.keys()]:
             raise ValueError(
                 f"Argument `observe` holds several observers that name {taken}: observe them by "
                 "runs of their own."
             )
-        observed |= labelled
+        observed |= named
     ends = states_at_times("end", (run.t, *run.state), chain, "oscillator")
     if taken := ends.keys() & observed.keys():
         raise ValueError(f"An observer names {sorted(taken)}, as every run does: rename it.")
@@ -195,10 +174,8 @@ def run_dataset(origin: Origin, run: Any) -> Dataset:
     data = to_dataset(records, {}, chain, n, attrs, edges)
     for name in [name for name in ends if name != "end_time"]:
         what = f"{ends[name].long_name}".partition(" of that")[0]
-        about = {"long_name": f"{what} at the end", "units": ends[name].units}
-        data[name] = ("oscillator", np.asarray(ends[name].values), about)
+        data[name] = labelled(replace(ends[name], long_name=f"{what} at the end"))
     if times is not None:
-        unit = data["end_time"].attrs["units"]
-        about = {"long_name": "time", "units": unit}
-        data = data.assign_coords(time=("time", np.asarray(times), about))
+        time = labelled(Variable(times, ("time",), chain.time_unit, "time"))
+        data = data.assign_coords(time=time)
     return data

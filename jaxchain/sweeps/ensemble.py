@@ -41,13 +41,14 @@ import numpy as np
 
 from .._checks import check_concrete, check_finite, shown, to_float
 from .._types import ScalarLike, State
+from ..datasets import Variable, labelled
 from ..model.arguments import as_model
 from ..model.entries import array_of
 from ..model.model import AbstractModel
 from ..model.parameters import parameter
 from ..model.provenance import versions
 from ..observers.amplitude import Amplitude
-from ..observers.base import AbstractObserver, Step, Variable
+from ..observers.base import AbstractObserver, Step
 from ..observers.samples import Trajectory
 from ..result import NAMES
 from ..simulation.accuracy import check_accuracy, choose_numerics
@@ -77,6 +78,7 @@ RESULTS = ("oscillator", "segment", "segment_end", "result", "end_time", "steps"
 _CODE = (
     "_computed_once.py",
     "_internals.py",
+    "datasets.py",
     "model",
     "observers",
     "solvers",
@@ -191,13 +193,12 @@ class Ensemble:
         task, edges = self.task, None
         if task.segments is not None:
             edges = np.asarray(task.edge(np.arange(task.segments + 1)))
-        labelled = to_dataset(block.records, block.axes, self.settings.model, self.n, attrs, edges)
+        data = to_dataset(block.records, block.axes, self.settings.model, self.n, attrs, edges)
         if self.settings.accuracy is not None:
-            about = parameter("width").attrs
-            about["long_name"] += " that `accuracy` picked"
-            widths = block.jobs["width"].reshape(labelled["result"].shape)
-            labelled["width"] = (tuple(block.axes), widths, about)
-        return labelled
+            row, widths = parameter("width"), block.jobs["width"].reshape(data["result"].shape)
+            text = f"{row.long_name} that `accuracy` picked"
+            data["width"] = labelled(Variable(widths, tuple(block.axes), row.unit, text))
+        return data
 
 
 def prepare(settings: RunSettings, over: Mapping[str, Any], most: int) -> Ensemble:

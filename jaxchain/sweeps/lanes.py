@@ -21,8 +21,8 @@ from jax import lax
 from jaxtyping import Array, Bool, Int
 
 from .._types import State
+from ..datasets import Variable
 from ..model.model import AbstractModel
-from ..observers.base import Variable
 from ..result import Result, code
 from ..simulation.plan import AbstractPlan, Progress
 

@@ -119,7 +119,7 @@ def test_words_letters_and_units():
 
 def test_a_number_of_a_law_of_ones_own_is_called_by_its_name():
     row = parameter("mu_peak")
-    assert row.attrs == {"long_name": "mu_peak", "units": "1"}
+    assert (row.long_name, row.unit) == ("mu_peak", "1")
     assert row.sign == "any"
     assert parameter("width") is FRICTION["width"]
 
