@@ -173,21 +173,22 @@ def test_period_doublings_of_dry_cycles_are_those_of_scipy():
     assert len(curve.first) == 7
     for k in (0, 3, -1):
 
-        def run(y, t0, t1, force=curve.first[k], damping=curve.second[k]):
+        def run(y: Any, t0: Any, t1, force=curve.first[k], damping=curve.second[k]):
             while t0 < t1:  # from one reversal to the next, where it does not stick
                 push = force * np.cos(t0) + y[0] - y[0] ** 3
                 sign = np.sign(y[1]) if abs(y[1]) > 1e-10 else np.sign(push)
 
-                def rate(t, y, sign=sign):
+                def rate(t, y, sign=sign) -> Any:
                     x, v = y
                     return [v, force * np.cos(t) + x - x**3 - damping * v - 0.02 * sign]
 
-                def reversal(t, y):
+                def reversal(t, y) -> Any:
                     return y[1]
 
-                reversal.terminal, reversal.direction = True, -sign
-                step = solve_ivp(
-                    rate, (t0, t1), y, method="DOP853", rtol=1e-12, atol=1e-13, events=reversal
+                stop: Any = reversal
+                stop.terminal, stop.direction = True, -sign
+                step: Any = solve_ivp(
+                    rate, (t0, t1), y, method="DOP853", rtol=1e-12, atol=1e-13, events=stop
                 )
                 t0, y = step.t[-1], step.y[:, -1]
             return y
