@@ -664,12 +664,12 @@ def share_differences(shares: Dataset, dim: str) -> Dataset:
     coords = {
         str(name): c for name, c in shares.coords.items() if dim not in c.dims and name in dims
     }
-    parts = {
-        "difference": (mean, "difference of the shares at neighbouring values"),
-        "low": (mean - reach, "lower end of its 95 % interval"),
-        "high": (mean + reach, "upper end of its 95 % interval"),
-    }
+    text = "difference of the shares at neighbouring values"
     return dataset(
-        {name: Variable(values, dims, "1", text) for name, (values, text) in parts.items()},
+        {
+            "difference": Variable(mean, dims, "1", text),
+            "low": Variable(mean - reach, dims, "1", "lower end of its 95 % interval"),
+            "high": Variable(mean + reach, dims, "1", "upper end of its 95 % interval"),
+        },
         {**coords, dim: (dim, (at[1:] + at[:-1]) / 2, shares[dim].attrs)},
     )
