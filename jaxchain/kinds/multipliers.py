@@ -97,13 +97,13 @@ class Torus(AbstractTested):
         return _of_pair(left @ jax.lax.complex(images[:, :2], images[:, 2:]), z.kappa)
 
     def curve_ends(self, orbit: Any) -> tuple[str, ...]:
-        """See `AbstractKind`."""
-        return "1:1", "1:2"
+        """Also where both multipliers of the pair are 1, or -1."""
+        return (*orbit.curve_ends, "1:1", "1:2")
 
     def curve_tests(self, orbit: Any) -> dict[str, Callable[..., float]]:
-        """Where kappa = cos(2 pi / n)."""
+        """Also where kappa = cos(2 pi / n)."""
         lines = {"1:1": (-1, 1.0), "1:2": (1, 1.0), "1:3": (1, 0.5), "1:4": (1, 0.0)}
-        return {
+        return orbit.curve_tests(folds=False) | {
             name: lambda u, *_, a=a, b=b: float(a * u[-2] + b) for name, (a, b) in lines.items()
         }
 

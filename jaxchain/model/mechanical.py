@@ -36,6 +36,7 @@ from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractCells
 from .friction import AbstractFriction, AbstractFrictionLaw, TanhFriction, as_law
+from .parameters import Parameter
 from .springs import Ends
 from .tridiagonal import factor, substitute
 
@@ -421,6 +422,12 @@ class MechanicalCells(AbstractCells):
     def load(self) -> PerMass:
         """p, as a `Chain` calls it."""
         return self.normal_load
+
+    def parameter(self, name: str) -> Parameter:
+        """The name, and the domain: a mass is positive, and a load not negative."""
+        row = super().parameter(name)
+        signs = {"mass": "positive", "normal_load": "nonnegative"}
+        return row._replace(sign=signs.get(name, row.sign))
 
     def static_limit(self) -> PerMass:
         """p mu_st, the greatest friction force on a sticking mass."""

@@ -22,7 +22,7 @@ from .._types import PerMass, ScalarLike, State
 from .entries import array_of, entry, with_entries
 from .friction import AbstractFriction, AbstractFrictionLaw
 from .locality import Dependence
-from .parameters import Parameter
+from .parameters import Parameter, parameter
 from .springs import neighbours
 
 
@@ -86,7 +86,8 @@ class AbstractModel(PrintedAsCall, eqx.Module):
 
     def parameter(self, name: str) -> Parameter:
         """The description of a parameter: words, symbol, unit, domain."""
-        return Parameter(name, name)
+        law = {} if self.given_friction is None else self.given_friction.parameters()
+        return Parameter(name, name, sign=parameter(name).sign if name in law else "any")
 
     @property
     def parameter_names(self) -> tuple[str, ...]:

@@ -8,9 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import find_limit_cycle, paper_chain
+from jaxchain import Coulomb, find_limit_cycle, paper_chain
 from jaxchain.boundaries import Grazing, find_fold
-from jaxchain.cycles.phases import peak, phases_from, phases_of, slip_phases
+from jaxchain.cycles.phases import OTHER_EVENTS, peak, phases_from, phases_of, slip_phases
+from jaxchain.kinds.event import Event
+from jaxchain.kinds.fold import Fold
+from jaxchain.kinds.multipliers import PeriodDoubling, Torus
+from jaxchain.model import MechanicalCells
 
 
 def test_the_peak_of_a_cubic():
@@ -57,3 +61,11 @@ def test_the_events_of_a_cycle_and_their_other_order():
     assert other.modes.tolist() == [[-1, -1], [-1, -1], [0, -1]]
     assert np.asarray(other.special).tolist() == [1, *np.asarray(two.special).tolist()[1:]]
     assert eqx.tree_equal(other.swapped(1), two)
+
+
+@pytest.mark.parametrize("kind", [Fold(), PeriodDoubling(), Torus(), Event("one", abs)])
+def test_every_curve_of_dry_cycles_ends_where_its_sequence_changes(kind):
+    cells = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), belt_speed=0.5)
+    orbit, _ = slip_phases(cells, tuple(jnp.zeros((2, 1))), 6.0, 0, False)
+    assert {*OTHER_EVENTS} <= {*kind.curve_tests(orbit)}
+    assert {*OTHER_EVENTS} <= {*kind.curve_ends(orbit)}

@@ -9,8 +9,15 @@ import sys
 import jax.numpy as jnp
 import pytest
 
-from jaxchain import Chain, TanhFriction, WeakeningStrengthening, steady_sliding, sweep
-from jaxchain.model import friction
+from jaxchain import (
+    Chain,
+    ExponentialDecay,
+    TanhFriction,
+    WeakeningStrengthening,
+    steady_sliding,
+    sweep,
+)
+from jaxchain.model import MechanicalCells, friction
 from jaxchain.model.parameters import CHAIN, FRICTION, PARAMETERS, parameter
 from jaxchain.plotting.style import SYMBOLS
 from jaxchain.scenes.scene import schema
@@ -137,3 +144,10 @@ def test_no_jax_is_needed():
     code = "import sys, jaxchain.model.parameters; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & {"jax", "numpy", "equinox", "pydantic"}
+
+
+def test_cells_know_the_domain_of_their_load_and_of_their_law():
+    cells = MechanicalCells(1.0, friction=ExponentialDecay(1.0, 0.5, 0.5), belt_speed=1.0)
+    names = "normal_load", "mu_static", "v_ref", "mass", "stiffness"
+    signs = [cells.parameter(name).sign for name in names]
+    assert signs == ["nonnegative", "nonnegative", "positive", "positive", "any"]
