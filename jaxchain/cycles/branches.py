@@ -19,7 +19,6 @@ from jaxtyping import Complex, Float
 
 from .._checks import (
     check_concrete,
-    check_count,
     check_function,
     check_kind,
     check_one_of,
@@ -66,7 +65,7 @@ if TYPE_CHECKING:
 _SUBGROUPS = "it is the index of one of `point.symmetries`."
 # A share of the parameter: closer to the end of a piece another special point is part of it.
 _SAME = 1e-7
-# A share of the first belt speed, below which the belt stops.
+# A share of the first value of a parameter that must be positive, below which it is 0.
 _STOPPED = 1e-5
 # What `continue_branch` finds without a test, and the names that are taken.
 _ALWAYS = (Fold(), BranchPoint())
@@ -554,7 +553,7 @@ def switch_cycle(
 
 
 def _follow(
-    start: Start | None,
+    start: Start,
     mass: int,
     rtol: Any,
     bounds: tuple[Any, Any] | None,
@@ -565,18 +564,22 @@ def _follow(
     """A branch, with dry friction piece by piece, see `cycles/sequences.py`."""
     pieces: list[tuple[AbstractOrbit, Branch]] = []
     points: list[tuple[AbstractKind, AbstractOrbit, SpecialPoint]] = []
-    check_count("max_points", options["max_points"])
+    first_p = start.p
+    given = (-np.inf, np.inf) if bounds is None else bounds
+    wanted = check_walk(first_p, given, options["max_points"], options["keep_part"])
+    limits = _within_domain(start.orbit, first_p, wanted)
     room = np.inf if options["max_points"] is None else options["max_points"]
-    first_p = 0.0 if start is None else start.p
-    while start is not None and room > 0:
+    following: Start | None = start
+    while following is not None and room > 0:
         most = None if np.isinf(room) else int(room)
         try:
-            piece = _piece(start, bounds, stop, events, options | {"max_points": most})
+            piece = _piece(following, limits, stop, events, options | {"max_points": most})
             if isinstance(piece, Start):
-                start = piece
+                following = piece
                 continue
             branch, found, met = piece
-            before, orbit, start = sum(one.p.size for _, one in pieces), start.orbit, None
+            before, orbit = sum(one.p.size for _, one in pieces), following.orbit
+            following = None
             room -= branch.p.size
             met = None if branch.ended == "interrupted" else met
             if met is not None and not met.how.goes_on:
@@ -587,11 +590,14 @@ def _follow(
             elif met is not None:
                 passage = change_at(cast(Phases, orbit), met.raw, options["tolerance"])
                 found.append((passage.kind, passage.orbit, passage.raw))
-                if (start := passage.start) is None:
+                if (following := passage.start) is None:
                     reason = f"no sequence of phases was found beyond the {passage.kind.name}"
                     branch = replace(branch, ended="stopped", reason=reason)
                 elif room <= 0:
                     branch = replace(branch, ended="max_points", reason="")
+            elif branch.ended == "left_bounds" and wanted[0] < branch.p[-1] == limits[0]:
+                reason = f"{orbit.parameter} = 0, the end of its domain"
+                branch = replace(branch, ended="stopped", reason=reason)
             pieces.append((orbit, branch))
             points += [(how, of, replace(s, index=s.index + before)) for how, of, s in found]
         except (KeyboardInterrupt, NoBranchError) as error:
@@ -603,6 +609,15 @@ def _follow(
             pieces[-1] = pieces[-1][0], replace(pieces[-1][1], ended=ended, reason=reason)
             break
     return _joined(pieces, points, mass, rtol)
+
+
+def _within_domain(
+    orbit: AbstractOrbit, p: float, bounds: tuple[float, float]
+) -> tuple[float, float]:
+    """The part of `bounds` in which the model has a meaning."""
+    sign = "any" if orbit.is_family else orbit.field.parameter(str(orbit.parameter)).sign
+    least = {"any": -np.inf, "nonnegative": 0.0, "positive": _STOPPED * abs(p)}[sign]
+    return max(bounds[0], least), bounds[1]
 
 
 def _belt_stops(orbit: AbstractOrbit, speed: float, first: float) -> bool:
@@ -620,7 +635,7 @@ class _Met(NamedTuple):
 
 def _piece(
     start: Start,
-    bounds: tuple[Any, Any] | None,
+    bounds: tuple[float, float],
     stop: Callable[[float, Any], Any] | None,
     events: Sequence[Event],
     options: dict[str, Any],
@@ -644,7 +659,7 @@ def _piece(
         start.p,
         orbit,
         direction=start.direction,
-        bounds=(-np.inf, np.inf) if bounds is None else bounds,
+        bounds=bounds,
         weights=orbit.weights(start.p),
         tests={key: kind.along(orbit) for key, kind in tested.items()},
         stop=ends,

@@ -136,6 +136,16 @@ def test_a_mass_that_sticks_at_phase_0_returns_after_one_period_of_the_force():
         assert len(scipy_at(model, branch, k)[2]) == count
 
 
+def test_a_branch_ends_where_a_parameter_leaves_its_domain(one_mass):
+    cycle = find_limit_cycle(one_mass[0])
+    branch = continue_cycle(cycle, parameter="mu_dynamic", direction=-1)
+    assert (branch.ended, branch.parameter[-1]) == ("stopped", 0.0)
+    assert "mu_dynamic = 0, the end of its domain" in branch.message
+    assert np.all(np.isfinite(branch.amplitude))
+    cut = continue_cycle(cycle, parameter="mu_dynamic", direction=-1, bounds=(0.2, 1.0))
+    assert (cut.ended, cut.parameter[-1]) == ("left_bounds", 0.2)
+
+
 def test_a_branch_ends_where_the_belt_stops(one_mass):
     branch = continue_cycle(find_limit_cycle(one_mass[0]), direction=-1)
     assert branch.ended == "belt_speed = 0"
