@@ -122,8 +122,8 @@ class HopfPoint(Outcome):
         """l1, the first Lyapunov coefficient, with derivatives.
 
         If l1 < 0, a stable cycle grows out of the point (supercritical), if l1 > 0, an unstable
-        one.  NaN if several pairs of eigenvalues cross together.  Its size is that of
-        eigenvectors with <q, q> = <p, q> = 1, Euclidean.
+        one.  NaN if several pairs of eigenvalues cross together.  Its size
+        belongs to eigenvectors with <q, q> = <p, q> = 1, Euclidean.
         """
         rates = Rates.of(self.chain, len(self.state))
         return lyapunov_coefficient(rates, jnp.concatenate(self.state), self.frequency)

@@ -73,7 +73,7 @@ def _numbers(
     - `u`, and `left`, the left null vector of K - omega^2 + i omega D: for a simple pair u itself,
       because that matrix is symmetric; for a wave that travels around a homogeneous ring, one of a
       pair q, -q, conj u; for a standing wave u, real.  Each of these waves lies in a subspace that
-      is invariant by symmetry, so l1 is that of cycles in it.
+      is invariant by symmetry; l1 describes the cycles in it.
     - If a coefficient is exactly zero, the sum of its terms consists of rounding errors.
     - A = max_n |x_n - mean| = 2 |w| max|u| / (sqrt(1 + omega^2) |u|) to leading order, A the
       greatest amplitude, and |w|^2 = -alpha' (v_d - v_H) / (omega l1).
@@ -283,9 +283,9 @@ class HopfPoints(Printed, eqx.Module):
       -q.
     - `growth_slope`: d Re(lambda) / d|v_d|.
     - `direction`: "falling speed" if the mode starts to grow as |v_d| falls, else "growing speed".
-    - `lyapunov_coefficient` = l1 as of a `HopfPoint`, of the travelling wave where there is a pair
-      q, -q; `standing_lyapunov_coefficient`, that of the standing wave cos(q n),
-      and the same as l1 where there is no pair.  NaN, and `criticality` "undetermined", where
+    - `lyapunov_coefficient`: l1 as of a `HopfPoint`, of the travelling wave where there is a pair
+      q, -q; `standing_lyapunov_coefficient`: l1 of the standing wave cos(q n), and the same number
+      where there is no pair.  NaN, and `criticality` "undetermined", where
       several modes cross together at one frequency in a chain that is not a homogeneous ring.
     - `criticality`, `standing_criticality`: "supercritical" (stable cycles grow out of the point,
       small at first), "subcritical" (unstable ones, and a jump) or "degenerate" (l1 = 0).
@@ -296,7 +296,7 @@ class HopfPoints(Printed, eqx.Module):
       artefact of smoothing at a speed of a few widths, below which the masses creep with the belt
       instead of sticking.
 
-    In a homogeneous chain all n modes cross at one belt speed; each coefficient then is that of
+    In a homogeneous chain all n modes cross at one belt speed; then each coefficient belongs to
     one wave alone.  Its cycles are cycles of the full chain while their growth is slow compared
     with the differences of the frequencies.  If 4 q is a multiple of 2 pi there is a second
     standing wave, cos(q (n + 1/2)), with another coefficient.

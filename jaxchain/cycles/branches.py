@@ -384,7 +384,7 @@ def continue_cycle(
       scaled_peak_velocity of that mass.
     - `images`: a symmetry of the cycle; entry i is the index of the mass that moves like mass i.
       Or a `CycleSymmetry`, as of `cycle_symmetry`, whose shift of time is kept, too.  The orbit
-      keeps this symmetry; multipliers are those of all disturbances.  Ignored with dry friction.
+      keeps this symmetry; multipliers belong to all disturbances.  Ignored with dry friction.
     - `step`, `min_step`, `max_step`, `max_points`, `progress`, `tolerance`, `keep_part` (after
       Ctrl-C): see `continue_branch`; lengths are (mean of x^2 and z^2 of the others + z_j^2 +
       ln^2 T + p^2)^(1/2).
