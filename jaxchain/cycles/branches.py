@@ -579,17 +579,19 @@ def _follow(
                 continue
             branch, found, met = piece
             before, orbit = sum(one.p.size for _, one in pieces), following.orbit
-            following = None
+            points += [(how, of, replace(s, index=s.index + before)) for how, of, s in found]
+            pieces.append((orbit, branch))  # kept if what follows is interrupted
+            following, ends = None, []
             room -= branch.p.size
             met = None if branch.ended == "interrupted" else met
             if met is not None and not met.how.goes_on:
                 branch = replace(branch, ended="stopped", reason="the amplitude vanishes")
-                found.append((met.how, orbit, orbit.exact(met.how, met.raw, options["tolerance"])))
+                ends = [(met.how, orbit, orbit.exact(met.how, met.raw, options["tolerance"]))]
             elif met is not None and _belt_stops(orbit, met.raw.p, first_p):
                 branch = replace(branch, ended="belt_speed = 0")
             elif met is not None:
                 passage = change_at(cast(Phases, orbit), met.raw, options["tolerance"])
-                found.append((passage.kind, passage.orbit, passage.raw))
+                ends = [(passage.kind, passage.orbit, passage.raw)]
                 if (following := passage.start) is None:
                     reason = f"no sequence of phases was found beyond the {passage.kind.name}"
                     branch = replace(branch, ended="stopped", reason=reason)
@@ -598,8 +600,8 @@ def _follow(
             elif branch.ended == "left_bounds" and wanted[0] < branch.p[-1] == limits[0]:
                 reason = f"{orbit.parameter} = 0, the end of its domain"
                 branch = replace(branch, ended="stopped", reason=reason)
-            pieces.append((orbit, branch))
-            points += [(how, of, replace(s, index=s.index + before)) for how, of, s in found]
+            pieces[-1] = orbit, branch
+            points += [(how, of, replace(s, index=s.index + before)) for how, of, s in ends]
         except (KeyboardInterrupt, NoBranchError) as error:
             stopped = isinstance(error, KeyboardInterrupt)
             if not pieces or (stopped and not options["keep_part"]):

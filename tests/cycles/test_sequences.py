@@ -24,6 +24,7 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import find_special_cycle
+from jaxchain.cycles import branches
 from jaxchain.model import MechanicalCells
 from jaxchain.plotting import plot_branch
 
@@ -289,7 +290,7 @@ def test_a_dry_branch_of_a_ring_is_the_limit_of_smoothed_ones():
     np.testing.assert_array_equal(*counts)
 
 
-def test_a_branch_ends_as_asked_and_keeps_what_it_has(one_mass):
+def test_a_branch_ends_as_asked_and_keeps_what_it_has(one_mass, monkeypatch):
     chain, whole = one_mass
     cycle = find_limit_cycle(chain.with_(belt_speed=1.8), find_limit_cycle(chain))
     some = continue_cycle(cycle, max_points=9)
@@ -307,6 +308,17 @@ def test_a_branch_ends_as_asked_and_keeps_what_it_has(one_mass):
     part = continue_cycle(cycle, progress=interrupt)
     assert part.ended == "interrupted"
     assert part.of_kind("grazing fold")
+
+    def pressed(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(branches, "change_at", pressed)  # between two sequences of phases
+    cut = continue_cycle(cycle)
+    assert (cut.ended, cut.special) == ("interrupted", ())
+    turn = whole.of_kind("grazing fold")[0].index
+    np.testing.assert_allclose(cut.parameter[-1], whole.parameter[turn], atol=0.05)
+    with pytest.raises(KeyboardInterrupt):
+        continue_cycle(cycle, keep_part=False)
     with pytest.raises(ValueError, match="must be 1 or -1 for dry friction"):
         continue_cycle(cycle, direction="slip")
 
