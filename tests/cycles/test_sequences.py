@@ -218,7 +218,7 @@ def test_tori_of_dry_cycles_have_multipliers_on_the_unit_circle():
     """The multipliers of single searches, whose derivatives are those of an event-driven run."""
     chain = paper_chain(3, belt_speed=1.5, width=None)
     cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 3000.0))
-    point = continue_cycle(cycle, direction=-1, bounds=(1.38, 2.0)).of_kind("torus")[0]
+    point = continue_cycle(cycle, direction=-1, bounds=(1.36, 2.0)).of_kind("torus")[0]
     curve = continue_special(point, "coupling", max_points=4)
     for k in (0, 2, -2):
         there = chain.with_(belt_speed=curve.first[k], coupling=curve.second[k])
