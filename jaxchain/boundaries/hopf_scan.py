@@ -52,7 +52,7 @@ _SAME = 1e-8  # relative difference of speeds and frequencies of one point
 def _growth_slopes(
     chain: Chain, speed: Array, frequency: Array, u: Array, left: Array
 ) -> tuple[Array, Array]:
-    """(d Re(lambda) / d|v_d|, that of dry friction).
+    """d Re(lambda) / d|v_d|, and its value for dry friction.
 
     lambda' = -i omega l^T D' u / [l^T (2 i omega + D) u], and D' = p mu'' for dry friction.
     """

@@ -4,8 +4,8 @@ A guess is (state, period) with the state at the greatest velocity of the vibrat
 direction of the belt, where `Shooting` cuts the orbit.  Newton's method solves the equations of
 `cycles/shooting.py`, one linearised integration a step.
 
-With true dry friction the state itself is the unknown (`StateEquations`), and the derivative is
-that of the event-driven run, with its saltation at sticking and release.
+With true dry friction the state itself is the unknown (`StateEquations`), and an
+event-driven run gives the derivative, with its saltation at sticking and release.
 
 Near a fold the stick-slip cycle and the slip cycle are close to each other: averaging gives no
 slip cycle there, a simulation may not settle in time, and Newton's method may converge to the
@@ -477,7 +477,7 @@ class StateEquations(eqx.Module):
         If the orbit already returns after 1/k of `period` (k up to 16), it is solved again with
         that fraction.  Check `gap` and `distance` first; they are divided by `scale`, the size of
         each variable of the state or of all.  The period of a forced orbit, whose `state` is that
-        at t = 0, is kept, dT = 0, or divided so that it is still a multiple of that of the force.
+        at t = 0, is kept, dT = 0, or divided so that it is still a multiple of the forcing period.
         """
         model, start = self.field, self.pack(state, period)
         d, forced = start.shape[0] - 1, model.forcing_period() is not None

@@ -335,7 +335,8 @@ def breaking_block(
 ) -> tuple[Any, Any, float]:
     """(basis A, block, at): all but `kept` breaks where the block has the eigenvalue `at`.
 
-    The block is A^T Q A, with Q after the shift of `kept`, from `part`, after that of `symmetry`.
+    The block is A^T Q A, Q the derivative over the shift of `kept`; `part` is the derivative over
+    the shift of `symmetry`.
     If only shifts are lost, it is Q itself in disturbances that keep `images`, and `at` = -1.
     """
     images, shift = symmetry

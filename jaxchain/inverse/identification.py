@@ -90,7 +90,7 @@ class Identification(Outcome):
       squares, is about m - p for a correct model and much more otherwise.
     - `phase`: of a `Signal`, at its first time, in periods after the state of `find_limit_cycle`.
     - `start`: of a `Signal` that has one, the start of best fit.
-    - `offset`: of a `Signal`, 0 or, if it is unknown, that of best fit; NaN of `Measurements`.
+    - `offset`: of a `Signal`, 0 or, if it is unknown, the best fit; of `Measurements` NaN.
     - `at_edge`: for each edge of the domain of the chain's numbers whether the fit is held back by
       it: errors do not hold there.
     - `result`; `evaluations`: the number of predictions with derivatives.

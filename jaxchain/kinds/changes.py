@@ -31,7 +31,7 @@ class Change(AbstractTested):
         return float(orbit.distances(extra)[NAMES.index(self.label)])
 
     def followed(self, orbit: Any, point: Any) -> tuple[AbstractKind, list[float]]:
-        """Its equation is one of those of the orbit."""
+        """The orbit contains its equation."""
         if orbit.special is None or not point.refined:
             raise ValueError(
                 f'Argument `point` is a "{self.name}" that was not solved for to all digits.'

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
@@ -182,6 +183,10 @@ def test_period_doublings_of_dry_cycles_are_those_of_scipy():
     curve = continue_special(branch.of_kind("period doubling")[0], "damping", max_points=4)
     assert curve.kind == "period doubling"
     assert len(curve.first) == 7
+    U, equations = jnp.asarray(curve.unknowns[3]), curve.equations[3]
+    slopes, value = equations.linearise(U)[1], eqx.filter_jit(equations.value)
+    near = [(value(U + step) - value(U - step)) / 2e-6 for step in 1e-6 * np.eye(U.size)]
+    np.testing.assert_allclose(slopes, np.array(near).T, rtol=1e-5, atol=1e-6)
     for k in (0, 3, -1):
 
         def run(y: Any, t0: Any, t1, force=curve.first[k], damping=curve.second[k]):
@@ -215,7 +220,7 @@ def test_period_doublings_of_dry_cycles_are_those_of_scipy():
 
 @pytest.mark.long
 def test_tori_of_dry_cycles_have_multipliers_on_the_unit_circle():
-    """The multipliers of single searches, whose derivatives are those of an event-driven run."""
+    """The multipliers of single searches, which differentiate an event-driven run."""
     chain = paper_chain(3, belt_speed=1.5, width=None)
     cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 3000.0))
     point = continue_cycle(cycle, direction=-1, bounds=(1.36, 2.0)).of_kind("torus")[0]
