@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 # Compiling is most of the time, and most programs run for a moment only: a compiler that optimizes
 # little takes less than half of it, and numbers differ in the last digits. (Level 0 takes less
@@ -134,3 +135,38 @@ def compiled() -> Iterator[list]:
     jax.monitoring.register_event_duration_secs_listener(note)
     yield names
     jax.monitoring.unregister_event_duration_listener(note)
+
+
+# Objects that many tests look at, each made once a worker. A test that needs another chain takes
+# one of these sizes, so that programs are shared.
+@pytest.fixture(scope="session")
+def chains() -> dict[tuple[int, float | None], jaxchain.Chain]:
+    """The paper's chain at belt speed 1.5, by (n, width); the width None is dry friction."""
+    kinds = [(n, width) for n in (1, 3, 6) for width in (None, 1e-2)]
+    return {(n, width): jaxchain.paper_chain(n, 1.5, width) for n, width in kinds}
+
+
+@pytest.fixture(scope="session")
+def dry_cycle(chains: Any) -> Any:
+    """The cycle of sticking and slipping of one mass."""
+    return jaxchain.find_limit_cycle(chains[1, None])
+
+
+@pytest.fixture(scope="session")
+def dry_branch() -> Any:
+    """Cycles of one mass from belt speed 0.2 over the fold to the Hopf point."""
+    chain = jaxchain.paper_chain(1, 0.2, None)
+    return jaxchain.continue_cycle(jaxchain.find_limit_cycle(chain), keep_part=False)
+
+
+@pytest.fixture(scope="session")
+def smoothed_branch() -> Any:
+    """The same at width 0.05, from belt speed 1."""
+    chain = jaxchain.paper_chain(1, 1.0, 0.05)
+    return jaxchain.continue_cycle(jaxchain.find_limit_cycle(chain), keep_part=False)
+
+
+@pytest.fixture(scope="session")
+def dry_fold() -> Any:
+    """The fold of one mass with dry friction."""
+    return jaxchain.find_fold(jaxchain.paper_chain(1, width=None))
