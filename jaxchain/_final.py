@@ -1,6 +1,6 @@
 """Final methods and classes: an override that the package would ignore raises an error.
 
-This module does not need JAX.  Public classes are either abstract, for subclasses, or final.
+This module does not need JAX.
 """
 
 from collections.abc import Mapping
@@ -9,13 +9,8 @@ from typing import TYPE_CHECKING
 _INSTEAD = {
     "AbstractOscillators": "subclass `jaxchain.model.AbstractOscillators` for other forces, or "
     "`jaxchain.model.AbstractFrictionLaw` for other friction.",
-    "AbstractCells": "subclass `jaxchain.model.AbstractCells`.",
     "AbstractFriction": "subclass `jaxchain.model.AbstractFrictionLaw`.",
-    "AbstractClassifier": "subclass `jaxchain.basins.AbstractClassifier`.",
-    "AbstractObserver": "subclass `jaxchain.observers.AbstractObserver`.",
-    "AbstractRegion": "subclass `jaxchain.basins.AbstractRegion`.",
-    "AbstractStructuredRosenbrock": "subclass `jaxchain.solvers.AbstractStructuredRosenbrock`.",
-    "AbstractStepSizeController": "subclass `diffrax.AbstractStepSizeController`.",
+    "AbstractCells": "subclass `jaxchain.model.AbstractCells`.",
 }
 
 if TYPE_CHECKING:

@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import numpy as np
 
-from ._final import final
-
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -21,7 +19,6 @@ if TYPE_CHECKING:
 _COUNT = {"dtype": "int64", "_FillValue": -1}
 
 
-@final
 class Variable(eqx.Module):
     """A variable of a dataset, such as a value of an observer.
 

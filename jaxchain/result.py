@@ -15,7 +15,6 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Bool
 
-from ._final import final
 from ._outcomes import ADVICE, WELL
 from ._printing import Printed, advice_of, is_one, name_of
 
@@ -31,7 +30,6 @@ class _Outcomes(type(eqx.Enumeration)):
         return f"{name_of(item)}: {advice}" if advice and is_one(item) else name_of(item)
 
 
-@final
 class Result(eqx.Enumeration, metaclass=_Outcomes):
     """The outcome of one run.
 
@@ -67,7 +65,6 @@ class Result(eqx.Enumeration, metaclass=_Outcomes):
     pending = ADVICE["pending"]
 
 
-@final
 class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     """The outcome of a search for a root, a cycle, a boundary or a fit.
 

@@ -23,7 +23,6 @@ from .._checks import (
     numbers_of,
     shown,
 )
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import check_descent
@@ -247,7 +246,6 @@ _MOST_STARTS, _MOST_TRIES = 10_000, 10**8
 _MASSES = "give None for all masses, or indices from 0, as (0, 1)."
 
 
-@final
 class Blow(Outcome):
     """The gentlest blow that `gentlest_blow` found.
 

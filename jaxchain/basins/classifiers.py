@@ -28,7 +28,6 @@ from .._checks import (
     optional,
     shown,
 )
-from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
@@ -44,7 +43,6 @@ _AT_REST = 1e-9
 _PHASES = ("in phase", "out of phase", "in between")
 
 
-@final
 class Settled(Printed, eqx.Module):
     """The final state of a run, the value of `VibratingMasses`.
 
@@ -143,7 +141,6 @@ class _Looking(eqx.Module):
     peaks: Float[Array, "two n"] | None  # times of the latest maximum, and of the one before
 
 
-@final
 class VibratingMasses(AbstractClassifier):
     """Which masses vibrate at the end of a run, and whether that can still change.
 

@@ -16,7 +16,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_kind, check_positive_number, is_traced, shown, to_float
-from .._final import final
 from .._internals import nondifferentiable
 from .._types import Given, ScalarLike, State, StateLike
 from ..cycles.floquet import LimitCycle, check_force
@@ -373,7 +372,6 @@ _CLOSED = 1e-6
 RTOL = 1e-11
 
 
-@final
 class EdgeState(Outcome):
     """The motion on the edge between two basins.
 

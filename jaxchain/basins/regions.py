@@ -31,7 +31,6 @@ from .._checks import (
     numbers_of,
     shown,
 )
-from .._final import final
 from .._printing import PrintedAsCall
 from .._types import State
 from ..model.arguments import as_chain
@@ -123,7 +122,6 @@ def _normal(point: Array) -> Array:
     return ndtri(jnp.clip(point, _LEAST, 1.0 - _LEAST))
 
 
-@final
 class Box(AbstractRegion):
     """Displacements and velocities between two numbers each, the same for every mass.
 
@@ -175,7 +173,6 @@ class Box(AbstractRegion):
         return sliding_x.at[at].set(a + (b - a) * x), sliding_v.at[at].set(c + (d - c) * v)
 
 
-@final
 class Ball(AbstractRegion):
     """The uniform distribution over a ball around steady sliding.
 
@@ -211,7 +208,6 @@ class Ball(AbstractRegion):
         return _about_sliding(self.masses, model, x, v)
 
 
-@final
 class Gaussian(AbstractRegion):
     """Independent normal displacements and velocities around steady sliding.
 
@@ -258,7 +254,6 @@ def _state(name: str) -> Callable[[Any], State]:
     return convert
 
 
-@final
 class Ranges(AbstractRegion):
     """Every number of every cell of any model between those of two states.
 
@@ -307,7 +302,6 @@ class Ranges(AbstractRegion):
         return tuple(low + (high - low) * share for low, high, share in ranges)
 
 
-@final
 class Sampler(AbstractRegion):
     """Your own region: a function from the unit cube to states.
 

@@ -35,7 +35,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_kind
-from .._final import final
 from .._types import State
 from ..continuation.bracket import bisect
 from ..continuation.implicit import attach_derivative
@@ -461,7 +460,6 @@ _ONCE = (
 _ANY = 0.5
 
 
-@final
 class SlidingBasin(Outcome):
     """The basin of steady sliding of one mass.
 

@@ -11,7 +11,6 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_number, check_positive_number, check_whole
-from .._final import final
 from .._types import Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, check_descent, descend
@@ -23,7 +22,6 @@ from ..result import Outcome, SearchResult
 from .fold import first_guess, forward_share, loose_rtol, value_and_jacobian
 
 
-@final
 class HopfDescent(Outcome):
     """The Hopf speed by gradient descent, with its iterates.
 
@@ -116,7 +114,6 @@ def _adam(steps: int) -> optax.GradientTransformation:
     return optax.adam(optax.exponential_decay(0.1, steps, 0.003), b1=0.5)
 
 
-@final
 class FoldDescent(Outcome):
     """The fold by gradient ascent, with its iterates.
 

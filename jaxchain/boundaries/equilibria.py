@@ -31,7 +31,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import Branch, Labels
@@ -49,7 +48,6 @@ _ON_AXIS = 1e-6
 _SAME = 1e-6
 
 
-@final
 class Equilibrium(Outcome):
     """A state at which nothing changes.
 
@@ -92,7 +90,6 @@ class Equilibrium(Outcome):
         return int(jnp.sum(jnp.real(self.eigenvalues) < 0)) >= self.eigenvalues.size - still
 
 
-@final
 class HopfPoint(Outcome):
     """An equilibrium with a pair of eigenvalues +-i omega.
 

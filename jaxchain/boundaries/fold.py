@@ -33,7 +33,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._final import final
 from .._types import Given, PerMass, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import where
@@ -63,7 +62,6 @@ from .grazing import (
 )
 
 
-@final
 @dataclass(frozen=True)
 class FoldSettings:
     """Constants of the search for a fold with smoothed friction.
@@ -510,7 +508,6 @@ def _towards_fold(
     return target, gain, _SlopeSecant(s, speed, slope, curvature, low, high, target, trust_radius)
 
 
-@final
 class Fold(Outcome):
     """A fold of cycles: the greatest belt speed of one branch of vibrations.
 

@@ -54,7 +54,6 @@ from jax import lax
 from jax.scipy.special import log_ndtr
 from jaxtyping import Array, Bool, Float, Int
 
-from .._final import final
 from .._types import ScalarLike, State
 from ..continuation.bracket import bisect
 from ..continuation.damped_newton import Factors, Iterate, advance, begin, factorise, where
@@ -69,7 +68,6 @@ from ..result import Outcome, SearchResult
 from ..solvers.dormand_prince import step as step_of_order_8
 
 
-@final
 @dataclass(frozen=True)
 class GrazingSettings:
     """Constants of the search for the fold of dry friction.
@@ -499,7 +497,6 @@ def weakened(chain: Chain, share: Any) -> Chain:
     )
 
 
-@final
 class Grazing(Outcome):
     """The slip cycle with the fastest belt: the fold of cycles for dry friction.
 

@@ -27,7 +27,6 @@ import numpy as np
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import check_concrete, check_finite, check_pair
-from .._final import final
 from .._types import ArrayLike, Given
 from ..model.arguments import as_chain
 from ..model.chain import Chain, map_numbers, steady_sliding
@@ -271,7 +270,6 @@ def _damping(chain: Chain, speeds: np.ndarray) -> np.ndarray:
     return np.asarray(_damping_at(chain, jnp.asarray(padded)))[: speeds.size]
 
 
-@final
 class HopfPoints(Printed, eqx.Module):
     """Hopf points, sorted by belt speed, then frequency; every field has one entry per point.
 

@@ -22,7 +22,6 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_positive, check_positive_number, is_traced, require_x64, to_float
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..cycles.averaging import dry_summits, one_mass, speed_scale
@@ -36,7 +35,6 @@ _WIDTHS = 6e-4 * 2.0 ** np.arange(6)
 _ACCURACY = 1e-9  # relative error of a fold, see `fold_belt_speed`
 
 
-@final
 class Extrapolation(Printed, eqx.Module):
     """A quantity in the limit of width 0.
 

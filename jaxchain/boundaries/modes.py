@@ -17,7 +17,6 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import as_array, check_finite, check_flag, check_kind, is_traced, shown, to_float
-from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
@@ -36,7 +35,6 @@ if TYPE_CHECKING:
 _SAME = 1e-9
 
 
-@final
 class ComplexModes(Outcome):
     """The modes Re[shape exp(lambda t)] of a linearised model at k values of a parameter.
 

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._checks import check_flag, is_traced
-from .._final import final
 from .._types import Given
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
@@ -28,7 +27,6 @@ NO_HOPF = (
 )
 
 
-@final
 class StabilityRange(Outcome):
     """Belt speeds at which vibration sets in and up to which it survives, dimensionless.
 

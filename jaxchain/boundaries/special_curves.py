@@ -33,7 +33,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import Given, ScalarLike, State
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import ENDINGS, Branch
@@ -276,7 +275,6 @@ def _linearise(U: Array, q: Any, equations: Any) -> tuple[Array, Array, Any]:
     return equations.linearise(jnp.append(U, q))
 
 
-@final
 class SpecialCycle(Outcome):
     """A cycle at a special point, to all digits.
 
@@ -493,7 +491,6 @@ def _of_dry_cycle(
     return equations, name, jnp.append(u, value)
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class CurvePoint(Printed):
     """A point of a `SpecialCurve` at which more happens.
@@ -512,7 +509,6 @@ class CurvePoint(Printed):
     unknowns: Float[np.ndarray, " more"]
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class SpecialCurve(Printed):
     """A curve of k special points in two parameters of a model, in order, as data on the host.

@@ -29,7 +29,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._progress import progress_bar
 from .._statistics import mean_interval
 from .._types import ArrayLike, Given, ScalarLike, StateLike
@@ -63,7 +62,6 @@ MEANINGS = {
 }
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class Evidence(Printed):
     """The evidence of one run of an ensemble; unknown values are NaN or empty.
@@ -156,7 +154,6 @@ class Evidence(Printed):
         return 1.0 / rate if rate else math.inf
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class Verdict(Printed):
     """The verdict on the motion from one start, from an ensemble of runs.
@@ -191,7 +188,6 @@ class Verdict(Printed):
         return max(chosen, key=lambda run: len(run.exponents))
 
 
-@final
 @dataclass(frozen=True)
 class Criteria:
     """The thresholds, with their reasons.

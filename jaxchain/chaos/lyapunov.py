@@ -27,7 +27,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._progress import progress_bar
 from .._statistics import student_reach
 from .._types import Given, ScalarLike, State, StateLike
@@ -45,7 +44,6 @@ from ..simulation.plan import AbstractPlan, Progress, forward_only, where
 ZERO = 1e-9
 
 
-@final
 class LyapunovSpectrum(Printed, eqx.Module):
     """Lyapunov exponents per dimensionless time; arrays have shape (count,).
 

@@ -13,7 +13,6 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from .._final import final
 from ..datasets import Variable, along, dataset, oscillators
 from ..result import Printed
 
@@ -75,7 +74,6 @@ class Point:
         return float(self.z[-1])
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class SpecialPoint(Printed):
     """A fold, a branch point, or a zero of one of the given tests, on a branch.
@@ -127,7 +125,6 @@ class Labels(NamedTuple):
     parts: Sequence[tuple[str, str, str]]
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class Branch(Printed):
     """A branch of k solutions of F(u, p) = 0 in order, as data on the host.

@@ -14,7 +14,6 @@ from jax import lax
 from jaxtyping import Array, Float, Int, PyTree
 
 from .._checks import check_function, check_number, to_float
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike
 from ..result import Outcome, SearchResult
 from .damped_newton import arrays, check_tolerance, check_vector, search
@@ -25,7 +24,6 @@ _WANTED = "u, p, args -> as many numbers as u"
 _LEAST_SLOPE = 1e-6
 
 
-@final
 class FoldPoint(Outcome):
     """A fold: F(u, p) = 0 with F_u(u, p) `null` = 0 and |null| = 1.
 
@@ -92,7 +90,6 @@ def _singularity_jvp(primals: Any, tangents: Any, *, residual: Any) -> tuple[Arr
     return _singularity(z, args, borders, residual=residual), tangent
 
 
-@final
 class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that makes one
     """R(z, (args, borders)) = [F(u, p, args); g(u, p, args)] with z = [u; p], zero at a fold.
 

@@ -27,7 +27,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..continuation.arclength import (
     Switched,
@@ -72,7 +71,6 @@ _ALWAYS = (Fold(), BranchPoint())
 _TAKEN = ("fold", "branch point", "hopf", "torus", "period doubling", "symmetry breaking", *NAMES)
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class CyclePoint(Printed):
     """A special point of a branch of cycles.
@@ -145,7 +143,6 @@ class NoBranchError(RuntimeError):
     """No cycle was found near the start of a branch."""
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class CycleBranch(Printed):
     """A branch of k cycles in order, as data on the host.

@@ -24,7 +24,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import check_flag, check_kind, check_whole, shown, to_float
-from .._final import final
 from .._progress import progress_bar
 from .._types import Given, ScalarLike, State
 from ..continuation.damped_newton import check_tolerance
@@ -51,7 +50,6 @@ _SAME = 1e-5
 _PHASES = 64
 
 
-@final
 @dataclass(repr=False)
 class CycleSearch(Printed):
     """The cycles that `find_limit_cycles` found.

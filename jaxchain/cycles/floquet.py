@@ -13,7 +13,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from .._checks import as_array, check_positive_number, is_traced, shown, to_float
-from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.chain import require_smoothed
@@ -366,7 +365,6 @@ LEAST_VELOCITY = 1e-6
 _WORST_DEFECT = 1e-3
 
 
-@final
 class LimitCycle(Outcome):
     """A periodic orbit.
 

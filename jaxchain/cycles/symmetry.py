@@ -28,7 +28,6 @@ import numpy as np
 from jaxtyping import Float
 
 from .._checks import check_concrete, check_positive_number, is_traced, shown
-from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_images
 from ..model.model import AbstractModel
@@ -78,7 +77,6 @@ def ring_motions(field: AbstractModel, state: State) -> list[np.ndarray]:
     return [at for at in motions if np.max(np.abs(rate(at) - here[..., at])) <= least]
 
 
-@final
 class CycleSymmetry(NamedTuple):
     """The symmetry of a cycle, or a subgroup to which it may lose it.
 

@@ -25,7 +25,6 @@ from .._checks import (
     is_traced,
     to_float,
 )
-from .._final import final
 from .._types import Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, stay_inside
@@ -75,7 +74,6 @@ _SINGULAR, _PART = 1e-6, 1e-3
 _EFFECT = 1e-8
 
 
-@final
 class Identification(Outcome):
     """The result of `identify`: p parameters from m measurements.
 
@@ -286,7 +284,6 @@ class _FitProblem(eqx.Module):
         return jnp.where(inside, residuals, jnp.nan), slopes, further
 
 
-@final
 class Profile(Printed, eqx.Module):
     """How well a number of theta fits, whatever the others are.
 

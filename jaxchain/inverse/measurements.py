@@ -27,7 +27,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike
 from ..boundaries.fold import fold_belt_speed
 from ..boundaries.hopf import hopf_belt_speed
@@ -67,7 +66,6 @@ _STICKING = 1e-6
 What = Literal["displacement", "velocity", "friction_force"]
 
 
-@final
 class Measurements(Printed, eqx.Module):
     """Measurements of a chain, with the standard deviation of their noise (dimensionless).
 
@@ -153,7 +151,6 @@ class Measurements(Printed, eqx.Module):
         return self.values.size
 
 
-@final
 class Signal(Printed, eqx.Module):
     """A record of one mass, with the standard deviation of its noise: in its limit cycle, or from
     a given start.

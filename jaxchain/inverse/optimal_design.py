@@ -21,7 +21,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike
 from ..basins.blows import Blow, gentlest_blow
 from ..boundaries.ranges import StabilityRange, stability_range
@@ -41,7 +40,6 @@ _PENALTY, _GROWTH, _ENOUGH = 10.0, 4.0, 0.25
 _LBFGS = optax.chain(optax.scale_by_lbfgs(), optax.scale(-1.0))
 
 
-@final
 class Design(Outcome):
     """The result of `design`.
 

@@ -24,7 +24,6 @@ from .._checks import (
     is_traced,
     to_float,
 )
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..model.chain import Chain
 from ..model.initial_states import check_mass
@@ -40,7 +39,6 @@ _SMALLEST = 12
 VERDICTS = ("shrinks", "stands", "grows", "unknown")
 
 
-@final
 class FrontSpeed(Printed, eqx.Module):
     """The speed of the fronts of a block, in masses per dimensionless time; > 0 if it grows.
 
@@ -271,7 +269,6 @@ def _window_count(windows: Any, t0: Any, t1: Any) -> int:
     return check_whole("windows", windows, 1, MOST_SEGMENTS, "one for 20 time units is usual.")
 
 
-@final
 class Depinning(Printed, eqx.Module):
     """The depinning of fronts: they stand at the belt speed `stands` and move at `moves`.
 

@@ -22,7 +22,6 @@ from .._checks import (
     require_x64,
     shown,
 )
-from .._final import final
 from .._types import Given, ScalarLike
 from ..model.arguments import as_chain
 from ..model.chain import Chain
@@ -135,7 +134,6 @@ def _draw(key: Array, count: int, distribution: str) -> Float[Array, " count"]:
     return jax.random.truncated_normal(key, -end, end, (count,), float) / variance**0.5
 
 
-@final
 class LinearModes(Printed, eqx.Module):
     """Modes of the chain without friction and damping: K u = omega^2 u, lowest first.
 

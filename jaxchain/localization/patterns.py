@@ -25,7 +25,6 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import ArrayLike, Given, ScalarLike, State
 from ..continuation.damped_newton import linearised, solve
 from ..cycles.averaging import one_mass
@@ -42,7 +41,6 @@ from ..simulation.run import simulate
 _SAMPLES, _HARMONICS = 256, 8
 
 
-@final
 class PhaseModel(Printed, eqx.Module):
     """The phase model of vibrating neighbours on a homogeneous ring, from `phase_model`.
 
@@ -285,7 +283,6 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
     return (start + np.arange(k)) % n
 
 
-@final
 @dataclass(frozen=True, repr=False)
 class LockedPattern(Printed):
     """Locked phases of k neighbours.

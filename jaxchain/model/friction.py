@@ -249,7 +249,6 @@ class AbstractFrictionLaw(AbstractFriction):
             check_curve(type(self).__name__, mu, self.mu_static)
 
 
-@final
 class ExponentialDecay(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0): friction that weakens with speed.
 
@@ -280,7 +279,6 @@ class ExponentialDecay(AbstractFrictionLaw):
         return self.mu_dynamic + drop * jnp.exp(-scaled)
 
 
-@final
 class WeakeningStrengthening(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-s / v0) + mu_v s / v0: weakens, then strengthens.
 
@@ -321,7 +319,6 @@ class WeakeningStrengthening(AbstractFrictionLaw):
         return self.mu_dynamic + drop * jnp.exp(-scaled) + self.mu_viscous * scaled
 
 
-@final
 class GaussianStribeck(AbstractFrictionLaw):
     """mu(s) = mu_d + (mu_st - mu_d) exp(-(s / v_s)^2) + mu_v s / v_s: the Stribeck curve.
 
@@ -364,7 +361,6 @@ class GaussianStribeck(AbstractFrictionLaw):
         return jnp.multiply.outer(jnp.array([2.0, 4.0, 6.0]), self.v_ref)
 
 
-@final
 class Coulomb(AbstractFrictionLaw):
     """mu(s) = mu_d: the same friction at every speed.
 

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from .._checks import require_signature
-from .._final import final, refuse_overrides
+from .._final import refuse_overrides
 from .._types import PerMass, ScalarLike, State
 from .locality import FINAL, check_local, local_dependence
 from .model import AbstractModel, StateVariable
@@ -28,7 +28,6 @@ from .parameters import SPEED
 from .springs import Ends, Springs
 
 
-@final
 class LocalSlopes(NamedTuple):
     """Derivatives of the local force, mass by mass; None for one that is always zero.
 

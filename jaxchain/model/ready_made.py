@@ -28,7 +28,6 @@ from .._checks import (
     check_positive,
     to_float,
 )
-from .._final import final
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractCells
 from .friction import AbstractFrictionLaw, TanhFriction
@@ -66,7 +65,6 @@ class _AbstractReadyMade(AbstractCells):
         return max((len(a) for a in self.parameters().values() if a.ndim), default=None)
 
 
-@final
 class ModeCoupling(_AbstractReadyMade):
     """Two modes of one mass, which friction couples to flutter.
 
@@ -137,7 +135,6 @@ class _AbstractPulled(_AbstractReadyMade):
         return -1.0
 
 
-@final
 class LuGre(_AbstractPulled):
     """A block pulled over a surface that holds it by bristles: the LuGre model of friction.
 
@@ -202,7 +199,6 @@ class LuGre(_AbstractPulled):
         return self.speed - v, force / self.mass, self.bristle_stiffness * bending
 
 
-@final
 class RateAndState(_AbstractPulled):
     """A block of rock pulled at the speed of plates: rate-and-state friction.
 
@@ -277,7 +273,6 @@ class RateAndState(_AbstractPulled):
         return self.speed - v, force / (self.mass * v), ages
 
 
-@final
 class Duffing(_AbstractReadyMade):
     """Driven oscillators with a cubic spring.
 
@@ -327,7 +322,6 @@ class Duffing(_AbstractReadyMade):
         return v, force / self.mass
 
 
-@final
 class Pendulums(_AbstractReadyMade):
     """Pendulums of any lengths on a support that is shaken vertically, with springs between bobs.
 
@@ -391,7 +385,6 @@ class Pendulums(_AbstractReadyMade):
         return v, (self.coupling * pull - shaken * jnp.sin(angle)) / length - self.damping * v
 
 
-@final
 class VanDerPol(_AbstractReadyMade):
     """Van der Pol's oscillators, which excite themselves.
 
@@ -424,7 +417,6 @@ class VanDerPol(_AbstractReadyMade):
         return v, self.mu * (1.0 - x**2) * v - x + self.coupling * _bend(left, own, right)
 
 
-@final
 class BurridgeKnopoff(_AbstractPulled):
     """Blocks in a row between two plates of a fault: the model of earthquakes.
 

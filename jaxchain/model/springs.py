@@ -10,7 +10,6 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import check_finite, check_one_of, named
-from .._final import final
 from .._printing import PrintedAsCall
 from .._types import PerMass
 
@@ -72,7 +71,6 @@ def neighbours(x: Float[Array, " n"], ends: str) -> tuple[Float[Array, " n"], Fl
     return lax.platform_dependent(x, cpu=convolve, default=shift)
 
 
-@final
 class Springs(PrintedAsCall, eqx.Module):
     """Nearest-neighbour springs: the off-diagonal part C of the stiffness matrix.
 

@@ -19,14 +19,12 @@ from .._checks import (
     shown,
     to_float,
 )
-from .._final import final
 from .._types import PerMass
 from .friction import AbstractFrictionLaw
 from .measured import check_measured, read_curve
 from .units import FROM_SI, Scales
 
 
-@final
 class TabulatedFriction(AbstractFrictionLaw):
     """mu(s) through measured points (s_i, mu_i), by piecewise cubic interpolation.
 

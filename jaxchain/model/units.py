@@ -19,7 +19,6 @@ from .._checks import (
     named,
     to_float,
 )
-from .._final import final
 from .._printing import PrintedAsCall
 from .._spelling import did_you_mean
 from .._types import ScalarLike
@@ -27,7 +26,6 @@ from .._types import ScalarLike
 Quantity: TypeAlias = Literal["displacement", "velocity", "time", "force", "frequency"]
 
 
-@final
 class DimensionalParameters(NamedTuple):
     """One mass of the chain in SI units, as in eq. (3) of the paper.
 
@@ -70,7 +68,6 @@ def _or_none(coupling: Any) -> Float[Array, ""] | None:
     return None if coupling is None else to_float(coupling, "coupling")
 
 
-@final
 class Scales(PrintedAsCall, eqx.Module):
     """The units of a dimensionless chain, and its two dimensionless parameters.
 

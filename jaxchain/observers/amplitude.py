@@ -11,7 +11,6 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from .._checks import check_one_of, check_positive_number, check_whole, to_float
-from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.model import AbstractModel
@@ -41,7 +40,6 @@ class _History(eqx.Module):
     repeats: Int[Array, ""]
 
 
-@final
 class Amplitude(AbstractObserver):
     """Half peak-to-peak of every displacement, A_n = (max x_n - min x_n) / 2, over a window.
 

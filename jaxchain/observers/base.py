@@ -22,14 +22,12 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._computed_once import flatten
-from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..datasets import Variable
 from ..model.model import AbstractModel
 
 
-@final
 class Rates(eqx.Module):
     """The rates of an event-driven step, each of one side of the events at its ends.
 
@@ -41,7 +39,6 @@ class Rates(eqx.Module):
     after: list[Array]
 
 
-@final
 class Step(eqx.Module):
     """One accepted step, from (`t0`, `y0`) to (`t1`, `y1`).
 

@@ -11,14 +11,12 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from .._final import final
 from .._types import ScalarLike, State
 from ..model.chain import Chain
 from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite
 
 
-@final
 class Divergence(AbstractObserver):
     """Integral of tr J along a run, by Gauss's rule of five points in every step.
 
@@ -60,7 +58,6 @@ class Divergence(AbstractObserver):
 _STUCK = 1e-9
 
 
-@final
 class EnergyBalance(AbstractObserver):
     """(work of the belt, energy lost to friction and damping, growth of the stored energy).
 

@@ -15,7 +15,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import as_array, check_positive_number, check_share, check_whole, to_float
-from .._final import final
 from .._internals import unvmap_any
 from .._statistics import student_reach
 from .._types import Given, ScalarLike, State
@@ -108,7 +107,6 @@ class _Watch(eqx.Module):
     fronts: Fronts
 
 
-@final
 class FrontTrack(AbstractObserver):
     """The positions of the two fronts of a vibrating block, in `windows` equal parts of a run.
 

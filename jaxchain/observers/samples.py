@@ -27,14 +27,12 @@ from .._checks import (
 )
 from .._computed_once import materialize
 from .._derivatives import both_ways
-from .._final import final
 from .._internals import unvmap_any, while_loop
 from .._types import ScalarLike, State
 from ..model.model import AbstractModel
 from .base import AbstractNotingObserver, Step, Variable, all_finite, states_at_times
 
 
-@final
 class Trajectory(eqx.Module):
     """The state at given times: value (x, v), both of shape (len(times), n), or all m arrays.
 
@@ -96,7 +94,6 @@ class _Samples(eqx.Module):
     parts: tuple[Float[Array, "capacity masses"], ...]  # x and v
 
 
-@final
 class Samples(AbstractNotingObserver):
     """Displacement and velocity of chosen masses at start, start + interval, ...
 

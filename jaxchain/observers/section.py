@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_number, check_one_of, check_whole
 from .._computed_once import materialize
-from .._final import final
 from .._types import ScalarLike, State
 from ..model.model import AbstractModel
 from .base import (
@@ -35,7 +34,6 @@ def _check_start(start: Any) -> None:
         check_number("start", start, "nothing is kept before this time; None: all of the run.")
 
 
-@final
 class PeakTimes(AbstractNotingObserver):
     """Times of the maxima of every displacement, located between steps.
 
@@ -259,7 +257,6 @@ class AbstractSection(AbstractObserver):
         return states_at_times("section", value, model, "point", "oscillator")
 
 
-@final
 class Section(AbstractSection):
     """States where mass `oscillator` (counted from 0) reaches a maximum, the first `capacity`.
 

@@ -12,14 +12,12 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_positive_number, to_float
-from .._final import final
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
 from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite, window_fits, zeros
 
 
-@final
 class StickTime(AbstractObserver):
     """The time for which each mass sticks to the belt during a window.
 
@@ -133,7 +131,6 @@ def _where_negative(
     return begin, end
 
 
-@final
 class MostSticking(AbstractObserver):
     """The greatest number of masses that stick at the same time, with true dry friction.
 

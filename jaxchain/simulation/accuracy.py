@@ -9,7 +9,6 @@ from jax import lax
 from jaxtyping import Array
 
 from .._checks import check_number, is_traced
-from .._final import final
 from .._limits import LEAST_ACCURACY, MOST_ACCURACY
 from .._printing import PrintedAsCall
 from .._types import Given, ScalarLike
@@ -29,7 +28,6 @@ _WORST = 6.0
 _RTOL_PER_WIDTH = 0.1
 
 
-@final
 class Numerics(PrintedAsCall, eqx.Module):
     """The choice of `choose_numerics`: a regularization width, a tolerance and a solver.
 

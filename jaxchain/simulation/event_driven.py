@@ -28,7 +28,6 @@ from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_whole, to_float
 from .._computed_once import materialize, spread
-from .._final import final
 from .._internals import unvmap_any
 from .._types import State
 from ..model.model import AbstractModel
@@ -449,7 +448,6 @@ class EventDrivenPlan(AbstractPlan):
         return progress, notes
 
 
-@final
 class EventDriven(eqx.Module):
     """The solver for dry friction, the default of a dry chain.
 

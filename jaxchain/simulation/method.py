@@ -18,7 +18,6 @@ from .._checks import (
     is_traced,
     shown,
 )
-from .._final import final
 from .._limits import LEAST_ATOL, LEAST_RTOL
 from .._printing import PrintedAsCall
 from .._types import Given, ScalarLike, State
@@ -41,7 +40,6 @@ MOST_SWEEPS = 3
 USUAL_RTOL = 1e-6
 
 
-@final
 class Method(PrintedAsCall, eqx.Module):
     """How runs are integrated: a solver, its tolerances and its steps.
 

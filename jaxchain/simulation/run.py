@@ -21,7 +21,6 @@ from .._checks import (
     to_float,
 )
 from .._derivatives import both_ways
-from .._final import final
 from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
@@ -42,7 +41,6 @@ def _is_observer(x: Any) -> bool:
     return isinstance(x, AbstractObserver | Trajectory)
 
 
-@final
 class Simulation(Printed, eqx.Module):
     """The result of a run.
 

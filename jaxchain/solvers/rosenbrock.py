@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 
 from .._checks import check_positive_number, check_whole, numbers_of, shown
 from .._computed_once import spread
-from .._final import final, refuse_overrides
+from .._final import refuse_overrides
 from .._types import ScalarLike, State
 from ..model.cells import AbstractCells
 from ..model.chain import Chain, spread_numbers
@@ -38,7 +38,6 @@ from ..model.oscillators import AbstractOscillators
 from ..model.tridiagonal import Solver, spring_solver
 
 
-@final
 class RosenbrockTableau:
     """Coefficients of a stiffly accurate Rosenbrock method in the transformed form.
 
@@ -558,7 +557,6 @@ class AbstractStructuredRosenbrock(dfx.AbstractAdaptiveSolver):
         return error, dfx.RESULTS.where(trusted, dfx.RESULTS.successful, untrusted)
 
 
-@final
 class Rodas4(AbstractStructuredRosenbrock):
     """Rodas4: order 4(3), 6 stages, stiffly accurate and L-stable; dense output of order 3.
 
@@ -591,7 +589,6 @@ class Rodas4(AbstractStructuredRosenbrock):
         return Rodas4(sweeps)
 
 
-@final
 class Rodas5P(AbstractStructuredRosenbrock):
     """Rodas5P: order 5(4), 8 stages, stiffly accurate and L-stable; dense output of order 4.
 

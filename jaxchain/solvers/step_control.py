@@ -20,7 +20,6 @@ from .._checks import (
     to_float,
 )
 from .._computed_once import materialize, spread
-from .._final import final
 from .._types import ScalarLike, State
 from ..model.chain import MAKE_CHAIN
 from ..model.model import AbstractModel
@@ -44,7 +43,6 @@ CREEP = 0.25
 STILL, SHARE = 0.05, 0.5
 
 
-@final
 class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     """Shortens the steps of another controller where a mass reaches the belt speed or leaves it.
 
