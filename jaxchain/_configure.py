@@ -163,7 +163,7 @@ def has_computed() -> bool:
     """Whether JAX has started its devices: after that their number is fixed."""
     import jax
 
-    now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    now = jax.config.values["jax_num_cpu_devices"]
     try:
         jax.config.update("jax_num_cpu_devices", 1 if now != 1 else 2)
     except RuntimeError:
@@ -198,7 +198,7 @@ def _set_devices(devices: int | None) -> bool:
     """Sets the number of devices, unless the user set it; whether it takes effect."""
     import jax
 
-    now = jax.config.jax_num_cpu_devices  # pyright: ignore[reportAttributeAccessIssue]
+    now = jax.config.values["jax_num_cpu_devices"]
     variables = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
     if devices is None:
         if now > 0 or any(name in variables for name in _DEVICES):

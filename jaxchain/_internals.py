@@ -11,6 +11,7 @@ import functools
 import io
 import pickle
 from collections.abc import Callable
+from operator import attrgetter
 from typing import Any
 
 import jax
@@ -37,9 +38,10 @@ def attempt(name: str, build: Callable[[], Any], fallback: Any = None) -> Any:
 
 
 def _classes() -> tuple[type, type]:
-    from jax.extend.core import ClosedJaxpr, Literal
+    from jax.extend import core
 
-    return ClosedJaxpr, Literal
+    # By their names: JAX 0.12 does not declare the first one as exported.
+    return attrgetter("ClosedJaxpr", "Literal")(core)
 
 
 def _classes_at_hand() -> tuple[type, type]:

@@ -28,7 +28,7 @@ class MarkdownDirective(SphinxDirective):
     has_content = True
 
     def run(self):
-        document = new_document(self.get_source_info()[0], self.state.document.settings)
+        document = new_document(self.get_source_info()[0] or "", self.state.document.settings)
         MystParser().parse("\n".join(self.content), document)
         return document.children
 

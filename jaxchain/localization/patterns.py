@@ -409,7 +409,7 @@ def rotating_wave(model: PhaseModel, turns: Given[int]) -> LockedPattern:
 
 def _growth(model: PhaseModel, slope: Any) -> float:
     speed = 2.0 * np.pi / float(model.period) * float(model.chain.coupling)  # pyright: ignore[reportArgumentType]
-    return speed * float(np.max(np.linalg.eigvals(np.asarray(slope)).real))
+    return speed * float(np.max(np.real(np.linalg.eigvals(np.asarray(slope)))))
 
 
 def _phases(step: Array) -> Array:
