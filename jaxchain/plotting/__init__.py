@@ -1,16 +1,17 @@
-"""Figures of sweeps and branches, drawings of the model, films.
+"""Pictures of sweeps, branches, runs and friction laws; films.
 
 - `branches`: a branch with its stability and its special points
 - `diagram`: what a bifurcation diagram shows beside its points
 - `fits`: the profile likelihood of a fitted number
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry
 - `maps`: a quantity over two swept parameters, with curves of special points laid over
-- `model`: the chain on its belt, and the friction law, as drawings
+- `laws`: the friction law, dry and smoothed
 - `modes`: frequencies and growth rates of modes over a parameter
 - `motions`: a run over time, in the phase plane, and as a film
-- `states`: localized states as circles, their delays, time series and orbits
+- `pages`: figures of whole scenes, a panel for each sweep
+- `states`: localized states: amplitudes, delays, time series and orbits
 - `style`: page width, colours, symbols, labels of axes, files of figures
-- `sweeps`: amplitude or energy over a swept number, as panels and as whole figures
+- `sweeps`: amplitude or energy over a swept number, also in panels
 """
 
 import lazy_loader

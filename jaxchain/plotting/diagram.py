@@ -146,27 +146,3 @@ def intervals(positions: np.ndarray, inside: np.ndarray) -> list[tuple[float, fl
     steps = np.diff(np.concatenate([[0], inside.astype(int), [0]]))
     starts, stops = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
     return [(float(edges[i]), float(edges[j])) for i, j in zip(starts, stops, strict=True)]
-
-
-def basin_brackets(data: xr.Dataset) -> list[tuple[float, float, float]]:
-    """(belt speed, largest start that ends without vibration, smallest that vibrates), one mass.
-
-    The unstable cycle is the boundary between the two basins in the phase plane of one oscillator,
-    so a start at rest, `displacement` away from steady sliding, lies inside or outside it.
-    Speeds at which all starts end alike are left out, and those below the Hopf speed, where steady
-    sliding is unstable and a start without vibration has only not grown enough yet.
-    """
-    two = set(swept(data)) == {"belt_speed", "displacement"}
-    if masses(data) != 1 or "active_count" not in data or not two:
-        return []
-    start = np.abs(data["displacement"].values)
-    brackets = []
-    hopf = hopf_belt_speed(data)
-    for speed in data["belt_speed"].values:
-        if hopf is not None and speed < hopf:
-            continue
-        count = data["active_count"].sel(belt_speed=speed).values
-        inside, outside = start[count == 0], start[count == 1]
-        if inside.size and outside.size and inside.max() < outside.min():
-            brackets.append((float(speed), float(inside.max()), float(outside.min())))
-    return brackets

@@ -40,7 +40,6 @@ from ..observers.section import Section
 from ..simulation.method import Solver, custom_solver
 from ..simulation.run import Simulation, simulate
 from ..solvers.dry_friction import RESOLUTION
-from .model import zigzag
 from .style import (
     BLUE,
     GREY,
@@ -453,7 +452,7 @@ def animate(
         page.get_layout_engine().set(h_pad=0.02)  # pyright: ignore[reportOptionalMemberAccess, reportCallIssue]
         parts: Any = page.subplot_mosaic("AAA;BBC", height_ratios=(0.9, 1.0))
         film = _Film(parts["A"], model, moments, motion, picked)
-        film.add_curves(parts["B"], parts["C"])
+        film.add_curves(parts["B"], parts["C"], motion)
         film.explain()
         page.draw_without_rendering()  # settles the layout once
         page.set_layout_engine("none")
@@ -482,55 +481,6 @@ class _Animation(FuncAnimation):
             super().save(filename, writer, *arguments, **options)
 
 
-def film_strip(
-    times: Given[ArrayLike],
-    states: Given[StateLike | Simulation],
-    model: Given[Chain],
-    *,
-    stills: Given[int] = 8,
-    masses: Any = None,
-) -> Figure:
-    """Stills of `animate` below each other, at equal intervals from the first time.
-
-    **Arguments:** as for `animate`; `stills`, their number, at most that of the frames.
-
-    **Returns:** a matplotlib figure with one panel per still.
-
-    **Raises:** `ValueError` as `animate`, and for more stills than frames.
-
-    !!! example
-
-        >>> import jax, numpy as np
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import paper_chain
-        >>> from jaxchain.plotting import film_strip
-        >>> times = np.linspace(0.0, 5.0, 6)[:, None]
-        >>> states = np.cos(times), -np.sin(times)  # any film of one mass
-        >>> page = film_strip(times[:, 0], states, paper_chain(n=1), stills=3)
-        >>> [axes.get_title(loc="right")[-4:] for axes in page.axes]  # the time of each
-        ['0.00', '2.00', '4.00']
-    """
-    moments, motion = _checked_film(times, states, model)
-    check_whole("stills", stills)
-    picked = _livelier(model, motion[0], masses)
-    if stills > len(moments):
-        raise ValueError(
-            f"Argument `stills` must be at most the number of frames, {len(moments)}, but is "
-            f"{stills}."
-        )
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(PAGE_WIDTH, 0.65 * stills), layout="constrained")
-        panels = page.subplots(stills, 1, squeeze=False).ravel()
-        for still, axes in enumerate(panels):
-            film = _Film(axes, model, moments, motion, picked)
-            film.show(still * len(moments) // stills)
-            if still == 0:
-                film.explain()
-            title = rf"$\tau$ = {moments[still * len(moments) // stills]:.2f}"
-            axes.set_title(title, loc="right", pad=1.5)
-    return page
-
-
 def _livelier(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:
     """The masses to draw: neighbours of the one with the largest amplitude, around the ring."""
     n = chain.n
@@ -542,6 +492,13 @@ def _livelier(chain: Chain, x: np.ndarray, masses: Any) -> list[int]:
     if chain.ends == "free":
         start = min(max(start % n, 0), n - MOST_SHOWN)
     return [*range(n)] if n <= MOST_SHOWN else [(start + i) % n for i in range(MOST_SHOWN)]
+
+
+def _spring(start: float, end: float, height: float) -> np.ndarray:
+    """Corners of a spring, straight at both ends."""
+    swing = 0.1 * np.array([0, 0, 1, -1, 1, -1, 1, -1, 0, 0])
+    share = np.array([0.0, 0.15, 0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.85, 1.0])
+    return np.stack([start + share * (end - start), height + swing], axis=1)
 
 
 class _Film:
@@ -625,41 +582,29 @@ class _Film:
             borderaxespad=0.0,
         )
 
-    def add_curves(self, strip: Axes, plane: Axes) -> None:
+    def add_curves(self, strip: Axes, plane: Axes, states: Any) -> None:
         """x over time and v over x, with a point for every mass that moves along them."""
-        t, x, v, sticks = self._closed()
-        for axes, across, up in ((strip, np.broadcast_to(t[:, None], x.shape), x), (plane, x, v)):
-            axes.plot(across, up, color=BLUE, linewidth=0.7)
-            # Curves are bold from the first to the last frame in which the mass sticks.
-            bold: Any = {"linewidth": 2.2, "solid_capstyle": "butt"}
-            axes.plot(across, np.where(sticks, up, np.nan), color=ORANGE, **bold)
+        times, states = self._closed(states)
+        look: Any = {"masses": self.picked, "color": BLUE}
+        plot_time_series(times, states, self.chain, ax=strip, **look)
+        plot_phase_portrait(times, states, self.chain, ax=plane, **look)
+        for axes in (strip, plane):
+            if (legend := axes.get_legend()) is not None:
+                legend.remove()  # `explain` has the colours
             for marker, colour in (("s", ORANGE), ("o", BLUE)):
-                look: Any = {"color": colour, "markeredgecolor": "black", "markeredgewidth": 0.5}
-                self.dots += axes.plot([], [], marker, markersize=4.5, zorder=4, **look)
-            axes.tick_params(which="both", top=True, right=True)
+                dot: Any = {"color": colour, "markeredgecolor": "black", "markeredgewidth": 0.5}
+                self.dots += axes.plot([], [], marker, markersize=4.5, zorder=4, **dot)
         self.cursor = strip.axvline(self.times[0], color=GREY, linewidth=0.7)
-        strip.set_xlim(t[0], t[-1])
-        speed = float(self.chain.belt_speed)
-        plane.axhline(speed, color=GREY, linewidth=0.7, linestyle="--", zorder=0)
-        plane.annotate(
-            r"$\tilde v_d$", (1.0, speed), xycoords=plane.get_yaxis_transform(), xytext=(3, 0),
-            textcoords="offset points", va="center", annotation_clip=False,
-        )  # fmt: skip
-        (_, time), (_, displacement), (_, rate) = (
-            axis(name, {"units": unit}, None) for name, unit in (("time", "1"), *_UNITS.items())
-        )
-        strip.set(xlabel=time, ylabel=displacement)
-        plane.set(xlabel=displacement, ylabel=rate)
+        strip.set_xlim(times[0], times[-1])
 
-    def _closed(self) -> list[np.ndarray]:
-        """Times, x, v and sticking; for a closed film with the first frame appended."""
-        parts = [self.times, self.x, self.v, self.sticks]
-        steps = [np.abs(np.diff(part, axis=0)).max() for part in (self.x, self.v)]
-        leap = [np.abs(part[-1] - part[0]).max() for part in (self.x, self.v)]
-        if not all(gap <= 1.5 * step for gap, step in zip(leap, steps, strict=True)):
-            return parts
+    def _closed(self, states: Any) -> tuple[np.ndarray, Any]:
+        """Times and states; for a closed film with the first frame appended."""
+        steps = [np.abs(np.diff(part, axis=0)).max() for part in states]
+        leaps = [np.abs(part[-1] - part[0]).max() for part in states]
+        if not all(gap <= 1.5 * step for gap, step in zip(leaps, steps, strict=True)):
+            return self.times, states
         after = self.times[-1] + np.mean(np.diff(self.times))
-        return [np.append(self.times, after), *(np.vstack([p, p[:1]]) for p in parts[1:])]
+        return np.append(self.times, after), tuple(np.vstack([p, p[:1]]) for p in states)
 
     def show(self, frame: int) -> list[Any]:
         """Moves everything to its position in a frame; returns what has changed."""
@@ -671,10 +616,11 @@ class _Film:
             block.set(x=middle - half, **(_STICKS if sticks else _SLIDES))
             number.set_x(middle)
         ends = zip(self.home + self.post, middles - half, strict=True)
-        ground = [zigzag((a, _SPRING), (b, _SPRING), 4, swing=0.1) for a, b in ends]
-        pairs = [(middles[i] + half, middles[i + 1] - half) for i in self.coupled]
-        between = [zigzag((a, _COUPLING), (b, _COUPLING), 7, swing=0.1) for a, b in pairs]
-        self.springs.set_segments([np.stack(line, axis=1) for line in (*ground, *between)])
+        springs = [_spring(a, b, _SPRING) for a, b in ends]
+        springs += [
+            _spring(middles[i] + half, middles[i + 1] - half, _COUPLING) for i in self.coupled
+        ]
+        self.springs.set_segments(springs)
         start = float(self.chain.belt_speed) * (time - self.times[0]) % self.stripe
         slant = 0.25 * self.stripe
         marks = np.arange(self.left + start, self.right - slant, self.stripe)

@@ -45,14 +45,6 @@ STYLE: dict[Any, Any] = {
     "mathtext.fontset": "dejavusans",
     "pdf.fonttype": 42,  # text stays text
 }
-SYMBOLS = {
-    **{name: row.label for name, row in PARAMETERS.items()},
-    "excited": "oscillators excited at the start",
-    "displacement": "displacement at the start (–)",
-    "velocity": "velocity at the start (–)",
-}
-AMPLITUDE = r"vibration amplitude $\tilde A$ (–)"
-ENERGY = r"vibration energy $\tilde E = \frac{1}{2}\sum \tilde A_i^2$ (–)"
 
 
 def save_figure(page: Figure, path: Path) -> list[Path]:
@@ -84,8 +76,9 @@ def save_figure(page: Figure, path: Path) -> list[Path]:
     return files
 
 
-# Places of legends outside of their axes.
+# Places of legends, all but the corner outside of their axes.
 _PLACES: dict[str, dict[str, Any]] = {
+    "corner": {"loc": "upper left"},
     "beside": {"loc": "upper left", "bbox_to_anchor": (1.0, 1.03), "borderaxespad": 0.2},
     "above": {
         "loc": "lower left",
@@ -131,8 +124,8 @@ def add_colour_bar(panels: Sequence[Axes], shade: Any, label: str | None) -> Any
 def add_legend(panels: Axes | list[Axes], title: str | None = None, place: str = "") -> None:
     """Adds a legend with each label of the panels once, also for overlaid plots.
 
-    It is placed in the first panel, or "beside" or "above" it, and for several panels beside all
-    of them, if the layout of the figure makes room.
+    It is placed in the first panel (in its upper left "corner"), or "beside" or "above" it, and
+    for several panels beside all of them, if the layout of the figure makes room.
     """
     panels = [panels] if isinstance(panels, Axes) else panels
     options: dict[str, Any] = {}

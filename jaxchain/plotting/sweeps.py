@@ -1,52 +1,29 @@
-"""Figures of sweeps: amplitude, energy or another variable over a swept number."""
+"""Pictures of sweeps: amplitude, energy or another variable over a swept number."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from .._checks import as_array, check_kind, shown
+from .._checks import check_kind, shown
 from .._outcomes import WELL
 from ..model.units import Scales
 from ..result import NAMES
-from .diagram import (
-    basin_brackets,
-    energy,
-    failed,
-    hopf_belt_speed,
-    intervals,
-    masses,
-    moving_fronts,
-    parameters,
-    slides_steadily,
-    stable_sliding,
-    swept,
-    variable,
-)
-from .groups import Panel, panels
-from .states import draw_states, picture_names
+from .diagram import masses, variable
 from .style import (
-    AMPLITUDE,
     BLUE,
     COLUMN_WIDTH,
-    ENERGY,
     GREY,
-    ORANGE,
     PAGE_WIDTH,
-    PURPLE,
     RED,
     STYLE,
-    SYMBOLS,
     add_colour_bar,
     add_legend,
     axis,
@@ -59,276 +36,7 @@ from .style import (
     widen,
 )
 
-PANEL_HEIGHT = 2.9
 MOST_SHADES = 60  # more cannot be told apart
-MOST_VECTORS = 10_000  # points that a PDF viewer still draws without delay
-NONE_VIBRATES = r"no $\tilde A_n > \tilde v_d/2$"
-NOT_VIBRATING = f"moves, {NONE_VIBRATES}"
-
-
-def figure_3(ladder: xr.Dataset, single: xr.Dataset, hopf: float | None = None) -> Figure:
-    """The bifurcation diagram of one oscillator and of the chain, side by side.
-
-    **Arguments:** `ladder`, a sweep of a chain over `belt_speed` and `excited`; `single`, one of
-    a single oscillator over `belt_speed` and anything else, such as its `displacement` at the
-    start; `hopf`, the belt speed at which steady sliding loses its stability (default:
-    `hopf_belt_speed` of each dataset, which scenes save).
-
-    **Returns:** a matplotlib figure of two panels.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Amplitude, equation_8, excited_state, paper_chain, sweep
-        >>> from jaxchain.plotting import figure_3
-        >>> watch, speeds = Amplitude(window=20.0), [1.4, 1.5]
-        >>> def pulled(chain, displacement):
-        ...     return excited_state(chain, 1, amplitude=displacement)
-        >>> ladder = sweep(
-        ...     paper_chain(4), equation_8, 100.0, observe=watch,
-        ...     over={"belt_speed": speeds, "excited": [0, 1]},
-        ... )
-        >>> single = sweep(
-        ...     paper_chain(1, width=1e-2), pulled, 100.0, observe=watch,
-        ...     over={"belt_speed": speeds, "displacement": [0.1, 2.0]},
-        ... )
-        >>> page = figure_3(ladder, single, hopf=1.1513)
-        >>> [axes.get_title(loc="left") for axes in page.axes[:2]]
-        ['(a)', '(b)']
-    """
-    return figure({"single": single, "ladder": ladder}, hopf=hopf)
-
-
-def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Figure:
-    """One panel for each dataset: amplitude for one oscillator, energy for a chain.
-
-    `NAME_dry` (the same runs with dry friction) and `NAME_cycles` (the branch of cycles) share the
-    panel of NAME, if there is one.  Experiments of a scene that name `pictures` show these
-    instead.
-
-    **Arguments:** `datasets`, by name, as `sweep` or a scene returns them; `hopf`, the belt speed
-    at which steady sliding loses its stability (default: `hopf_belt_speed` of each dataset).
-
-    **Returns:** a matplotlib figure.
-
-    **Raises:** `ValueError` for anything but datasets, or for none.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain import Amplitude, equation_8, paper_chain, sweep
-        >>> from jaxchain.plotting import figure
-        >>> over = {"belt_speed": [1.4, 1.5], "excited": [0, 1]}
-        >>> watch = Amplitude(window=20.0)
-        >>> data = sweep(paper_chain(4), equation_8, 100.0, over=over, observe=watch)
-        >>> page = figure({"four": data}, hopf=1.1513)  # `save_figure(page, "four")` writes it
-        >>> [text.split(" $")[0] for axes in page.axes if (text := axes.get_xlabel())]
-        ['belt speed']
-    """
-    remedy = '{"chain": sweep(...)}, say.'
-    check_kind("datasets", datasets, Mapping, "a dict of names and datasets", remedy)
-    for name, data in datasets.items():
-        check_kind(f"datasets[{name!r}]", data, xr.Dataset, "a dataset", "`sweep` makes them.")
-    if not datasets:
-        raise ValueError(f"Argument `datasets` must hold a dataset at least, but is {datasets}.")
-    if hopf is not None:
-        as_array("hopf", hopf, 0, 0, "None takes that of each dataset.")
-    shown = panels(datasets)
-    if pictured := [panel for panel in shown.values() if picture_names(panel.runs)]:
-        return draw_states(pictured)
-    columns = min(2, len(shown))
-    rows = -(-len(shown) // columns)
-    width = PAGE_WIDTH if columns > 1 else 0.65 * PAGE_WIDTH
-    with matplotlib.rc_context(STYLE):
-        page = Figure(figsize=(width, PANEL_HEIGHT * rows), layout="constrained")
-        subplots = page.subplots(rows, columns, squeeze=False).ravel()
-        for index, (axes, panel) in enumerate(zip(subplots, shown.values(), strict=False)):
-            draw(axes, panel, hopf)
-            if len(shown) > 1:
-                axes.set_title(f"({chr(ord('a') + index)})", loc="left", fontweight="bold")
-        for axes in subplots[len(shown) :]:
-            axes.set_axis_off()
-    return page
-
-
-def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> None:
-    """Every run of a sweep as a point over the belt speed, or over the first swept number.
-
-    Those with true dry friction are rings around the points.  Of other models than a chain, the
-    second swept number is told by colour and marker.
-    """
-    data, truth = panel.runs, panel.dry
-    names = swept(data)
-    if "oscillators" in parameters(data) and "active_count" not in data:
-        values = named_values(data, None)
-        hue = _hue(data, values, names[1] if len(names) > 1 else None)
-        _draw(axes, data, values, names[0], hue, None)
-        axes.tick_params(which="both", top=True, right=True)
-        _explain([axes], hue, None)
-        return
-    across = "belt_speed" if "belt_speed" in names else names[0]
-    if across == "belt_speed":
-        hopf = hopf_belt_speed(data) if hopf is None else hopf
-        _draw_fronts(axes, data)
-        _draw_hopf(axes, data, hopf)
-    x = data[across].broadcast_like(data["result"]).transpose(*names).values
-    y, label = _heights(data)
-    bad = failed(data).values
-    good = ~bad & np.isfinite(y)
-    _draw_runs(axes, data, x[good], y[good], good, hopf)
-    if panel.cycles is not None:
-        _draw_cycles(axes, panel.cycles)
-    elif masses(data) == 1:
-        _draw_brackets(axes, data)
-    if truth is not None:
-        heights, _ = _heights(truth)
-        shown = ~failed(truth).values & np.isfinite(heights)
-        axes.plot(
-            x[shown], heights[shown], "o", color="black", markersize=4.6, markerfacecolor="none",
-            markeredgewidth=0.35, zorder=4, label="true dry friction",
-        )  # fmt: skip
-    axes.set_xlabel(SYMBOLS.get(across, across))
-    axes.set_ylabel(label)
-    widen(axes, data[across].values)
-    # Rest is drawn above the axis and failures below it, and rounding errors do not fill the
-    # panel.
-    top = max(float(np.max(y[good], initial=0.0)), 1e-3)
-    axes.set_ylim(-0.14 * top if bad.any() else -0.05 * top, 1.08 * top)
-    if bad.any():
-        axes.plot(
-            x[bad], np.full(bad.sum(), -0.08 * top), "x", color=RED, markersize=4, label="failed"
-        )
-    axes.tick_params(which="both", top=True, right=True)
-    handles, labels = axes.get_legend_handles_labels()
-    if handles:
-        axes.legend(
-            handles, labels, loc="upper left", handlelength=1.6, framealpha=0.75, edgecolor="none"
-        )
-
-
-def _heights(data: xr.Dataset) -> tuple[np.ndarray, str]:
-    """The values of the points, of the shape of the runs, and their name."""
-    values = energy(data)
-    if values is None:
-        return data["active_count"].values, "vibrating oscillators"
-    if masses(data) == 1:
-        return (2 * values.values) ** 0.5, AMPLITUDE
-    return values.values, ENERGY
-
-
-def _draw_runs(
-    axes: Axes,
-    data: xr.Dataset,
-    x: np.ndarray,
-    y: np.ndarray,
-    good: np.ndarray,
-    hopf: float | None,
-) -> None:
-    """Vibrating, at rest, unstable rest, and neither: distinguished by colour and marker.
-
-    "Neither" is motion without a vibrating mass: a vibration that dies out or has just begun, or
-    masses that are shaken by neighbours.
-    """
-    if "active_count" not in data:
-        axes.plot(x, y, "o", color=BLUE, markersize=3)
-        return
-    count = data["active_count"].values[good]
-    resting_runs = slides_steadily(data)
-    rests = np.zeros_like(good) if resting_runs is None else resting_runs.values
-    moving = (count == 0) & ~rests[good]
-    still, vibrating = (count == 0) & ~moving, count > 0
-    stable = stable_sliding(data, hopf) if still.any() else None
-    resting = still & (False if stable is None else stable[good])
-    unstable = still & ~resting
-    if masses(data) == 1:
-        axes.plot(x[vibrating], y[vibrating], "o", color=BLUE, markersize=3.2, label="vibrating")
-    else:
-        _draw_counts(axes, x[vibrating], y[vibrating], count[vibrating], masses(data))
-    square: dict[str, Any] = {"marker": "s", "color": ORANGE, "markersize": 2.8}
-    hollow = square | {"markerfacecolor": "white", "markeredgewidth": 0.8}
-    triangle = {"marker": "^", "color": PURPLE, "markersize": 3.6, "markeredgewidth": 0}
-    unsure = "sliding, stability unknown" if stable is None else "unstable sliding"
-    for here, label, look in (
-        (resting, "steady sliding", square),
-        (unstable, unsure, hollow),
-        (moving, NONE_VIBRATES if resting_runs is None else NOT_VIBRATING, triangle),
-    ):
-        if here.any():
-            axes.plot(x[here], y[here], linestyle="none", label=label, **look)
-
-
-def _draw_cycles(axes: Axes, cycles: xr.Dataset) -> None:
-    """The branch of cycles through its fold, including unstable ones."""
-    x, y, stable = (cycles[name].values for name in ("belt_speed", "amplitude", "stable"))
-    top = int(np.argmax(stable))  # the first stable cycle, next to the fold
-    axes.plot(x[top - 1 :], y[top - 1 :], color=BLUE, linewidth=0.9, zorder=2)
-    axes.plot(
-        x[:top], y[:top], color="black", linewidth=0.9, linestyle="--", zorder=2,
-        label="unstable cycle",
-    )  # fmt: skip
-    fold = cycles["fold_belt_speed"], cycles["fold_amplitude"]
-    axes.plot(*fold, "*", color=RED, markersize=7, zorder=5, label="fold")
-
-
-def _draw_brackets(axes: Axes, data: xr.Dataset) -> None:
-    """The unstable cycle of one oscillator lies between two neighbouring starts."""
-    brackets = np.array(basin_brackets(data)).reshape(-1, 3)
-    if len(brackets):
-        speed, low, high = brackets.T
-        axes.errorbar(
-            speed, 0.5 * (low + high), 0.5 * (high - low), color=GREY, linewidth=0.9,
-            linestyle="--", elinewidth=1.8, zorder=1, label="unstable cycle",
-        )  # fmt: skip
-
-
-def _draw_counts(axes: Axes, x: np.ndarray, y: np.ndarray, count: np.ndarray, n: int) -> None:
-    shades = min(n, MOST_SHADES)
-    colours = ListedColormap(matplotlib.colormaps["viridis"](np.linspace(0.0, 0.95, shades)))
-    norm = BoundaryNorm(np.linspace(0.5, n + 0.5, shades + 1), shades)
-    points = axes.scatter(x, y, c=count, cmap=colours, norm=norm, s=9, linewidths=0, zorder=3)
-    points.set_rasterized(len(x) > MOST_VECTORS)
-    step = max(1, n // 5)
-    bar = axes.figure.colorbar(
-        points, ax=axes, ticks=range(step, n + 1, step), pad=0.02, aspect=30
-    )
-    bar.set_label("vibrating oscillators")
-    bar.ax.tick_params(length=0)
-    bar.ax.minorticks_off()
-    bar.outline.set_linewidth(0.6)
-
-
-def _draw_hopf(axes: Axes, data: xr.Dataset, hopf: float | None) -> None:
-    speeds = data["belt_speed"].values
-    if hopf is None or not speeds.min() <= hopf <= speeds.max():
-        return
-    axes.axvline(hopf, color="black", linewidth=0.8, linestyle=(0, (6, 2, 1, 2)), zorder=1)
-    axes.annotate(
-        r"$\tilde v_H$",
-        (hopf, 1.0),
-        xycoords=axes.get_xaxis_transform(),
-        xytext=(0, 2),
-        textcoords="offset points",
-        horizontalalignment="center",
-    )
-
-
-def _draw_fronts(axes: Axes, data: xr.Dataset) -> None:
-    moving = moving_fronts(data)
-    if moving is None or not moving.any():
-        return
-    for low, high in intervals(data["belt_speed"].values, moving.values):
-        axes.axvspan(low, high, color=RED, alpha=0.08, linewidth=0, zorder=0)
-        for edge in (low, high):
-            axes.axvline(edge, color=RED, linewidth=0.8, linestyle="--", zorder=1)
-    # In the legend only: a patch with the edges of a band.
-    axes.fill_between(
-        [], [], facecolor=(RED, 0.08), edgecolor=RED, linewidth=0.8, linestyle="--",
-        label="moving fronts",
-    )  # fmt: skip
-
-
 # Of panels on a page, and side by side.
 MOST_PANELS, _COLUMNS = 24, 3
 # Points are joined along these: they are times of the same runs.
@@ -336,12 +44,16 @@ _TIMES = ("segment", "segment_end")
 _NOT_RUN = {"pending", "interrupted"}
 
 
-class _Hue(NamedTuple):
+class Hue(NamedTuple):
     """The variable that distinguishes the runs of a panel."""
 
     of_runs: xr.DataArray  # the value of each run
     values: xr.DataArray  # those that are there
     is_variable: bool  # else a dimension, or what is swept along one
+
+
+# Which runs, the words of the legend, and how their points look.
+Series = tuple[xr.DataArray, str, dict[str, Any]]
 
 
 def plot_sweep(
@@ -404,7 +116,7 @@ def plot_sweep(
     check_scales(scales)
     given = None if ax is None else _flat(ax)
     values = named_values(data, y)
-    shades = _hue(data, values, hue)
+    shades = hue_of(data, values, hue)
     roles = _roles(data, values, {"x": x, "hue": hue, "col": col, "row": row}, shades, given)
     faceted = [name for role in ("row", "col") if (name := roles[role])]
     at = [[{dim_of(data, name): k} for k in range(data[name].size)] for name in faceted]
@@ -422,17 +134,15 @@ def plot_sweep(
         )
     if not faceted:
         with on_axes(None if given is None else given[0]) as axes:
-            _draw(axes, data, values, roles["x"], shades, scales)
-            _explain([axes], shades, scales)
+            draw_runs(axes, data, values, roles["x"], shades, scales)
         return axes
     with matplotlib.rc_context(STYLE if given is None else {}):
         grid = given or _new_panels([len(part) for part in at], roles["col"] is None)
+        series = _series(values, shades, roles["x"], scales)
         for axes, panel in zip(grid, panels, strict=True):
             part = data.isel(panel)
-            panel_shades = shades and shades._replace(
-                of_runs=shades.of_runs.isel(panel, missing_dims="ignore")
-            )
-            _draw(axes, part, values.isel(panel), roles["x"], panel_shades, scales)
+            here = [(runs.isel(panel, missing_dims="ignore"), *look) for runs, *look in series]
+            draw_series(axes, part, values.isel(panel), roles["x"], here, scales)
             axes.set_title("\n".join(value_of(part[name], scales) for name in faceted))
             if given is None:
                 _label_outer(axes)
@@ -464,12 +174,12 @@ def _masses(data: xr.Dataset) -> int:
     return data.sizes["oscillator"] if "oscillator" in data.sizes else masses(data)
 
 
-def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
+def hue_of(data: xr.Dataset, values: xr.DataArray, hue: Any) -> Hue | None:
     if not isinstance(hue, str) or hue not in {*data.variables, *data.dims, "active_share"}:
         return None
     is_variable = hue in {*data.data_vars, "active_share"}
     if not is_variable:
-        return _Hue(data[hue], data[hue], False)
+        return Hue(data[hue], data[hue], False)
     of_runs = named_values(data, hue)
     if extra := sorted({*map(str, of_runs.dims)} - {*map(str, values.dims)}):
         raise ValueError(
@@ -479,11 +189,11 @@ def _hue(data: xr.Dataset, values: xr.DataArray, hue: Any) -> _Hue | None:
     present = np.unique(of_runs.values[~np.isnan(of_runs.values)])
     whole = bool(np.all(present == np.round(present)))
     present = present.astype(int) if whole else present
-    return _Hue(of_runs, xr.DataArray(present, dims=hue, name=hue, attrs=of_runs.attrs), True)
+    return Hue(of_runs, xr.DataArray(present, dims=hue, name=hue, attrs=of_runs.attrs), True)
 
 
 def _roles(
-    data: xr.Dataset, values: xr.DataArray, requested: dict[str, Any], hue: _Hue | None, ax: Any
+    data: xr.Dataset, values: xr.DataArray, requested: dict[str, Any], hue: Hue | None, ax: Any
 ) -> dict[str, str | None]:
     """The dimension of each role; every dimension of more than one value needs a role."""
     free = [str(dim) for dim in values.dims if values.sizes[dim] > 1]
@@ -541,14 +251,53 @@ def dim_of(data: xr.Dataset, name: str) -> str:
     return str(data[name].dims[0])
 
 
-def _draw(
+def draw_runs(
     axes: Axes,
     data: xr.Dataset,
     values: xr.DataArray,
     across: Any,
-    hue: _Hue | None,
-    scales: Scales | None,
+    hue: Hue | None,
+    scales: Scales | None = None,
 ) -> None:
+    """Every run as a point, with its legend or colour bar."""
+    draw_series(axes, data, values, across, _series(values, hue, across, scales), scales)
+    _explain([axes], hue, scales)
+
+
+def _series(
+    values: xr.DataArray, hue: Hue | None, across: Any, scales: Scales | None
+) -> list[Series]:
+    """The runs of each value of `hue`; points of the same run are joined over time."""
+    joined = across in _TIMES and not (hue and hue.is_variable)
+    line: dict[str, Any] = {"linestyle": "-" if joined else "none", "linewidth": 0.8}
+    if hue is None:
+        look = {"color": BLUE, "marker": "o", "markersize": 3.4}
+        return [(xr.ones_like(values, bool), "", line | look)]
+    styles, bar = looks(hue.values.values)
+    # Points of several series may overlap: hollow ones all stay visible.
+    line |= {"markersize": 4.4, "markerfacecolor": "none"}
+    series = [
+        (
+            hue.of_runs == one.values,
+            number_of(one, scales) if bar is None else "",
+            line | {"color": colour, "marker": marker},
+        )
+        for one, (colour, marker) in zip(hue.values, styles, strict=True)
+    ]
+    unknown = hue.of_runs.isnull() & values.notnull()
+    grey = line | {"color": GREY, "marker": "."}
+    return [*series, (unknown, "unknown", grey)] if unknown.any() else series
+
+
+def draw_series(
+    axes: Axes,
+    data: xr.Dataset,
+    values: xr.DataArray,
+    across: Any,
+    series: list[Series],
+    scales: Scales | None = None,
+) -> None:
+    """The points of each series, and crosses at the lower edge for runs without an answer."""
     x, x_label = scaled(data[across], scales)
     y_factor, y_label = axis(str(values.name), values.attrs, scales)
     dim = dim_of(data, across)
@@ -561,24 +310,9 @@ def _draw(
     bad = {word: flat(array) for word, array in without_answer(data).items()}
     decided = ~np.logical_or.reduce([np.zeros(at.shape, bool), *bad.values()])
     height = np.where(decided, y_factor * flat(values), np.nan)
-    series = [(np.ones(at.shape, bool), "", (BLUE, "o"))]
-    # Points of several series may overlap: hollow ones all stay visible.
-    look: dict[str, Any] = {"markersize": 3.4}
-    if hue is not None:
-        of = flat(hue.of_runs)
-        styles, bar = looks(hue.values.values)
-        words = [number_of(one, scales) if bar is None else "" for one in hue.values]
-        here = [of == one for one in hue.values.values]
-        series = [*zip(here, words, styles, strict=True)]
-        unknown = decided & np.array([value != value for value in of.tolist()])
-        series += [(unknown, "unknown", (GREY, "."))] if unknown.any() else []
-        look = {"markersize": 4.4, "markerfacecolor": "none"}
-    joined = across in _TIMES and not (hue and hue.is_variable)
-    for here, word, (colour, marker) in series:
-        axes.plot(
-            at[here], height[here], color=colour, marker=marker, linewidth=0.8, label=word,
-            linestyle="-" if joined else "none", **look,
-        )  # fmt: skip
+    for runs, word, look in series:
+        here = flat(runs)
+        axes.plot(at[here], height[here], label=word, **look)
     for word, missing in bad.items():
         if missing.any():
             positions = np.unique(at[missing])
@@ -609,7 +343,7 @@ def without_answer(data: xr.Dataset) -> dict[str, xr.DataArray]:
     }
 
 
-def _explain(panels: list[Axes], hue: _Hue | None, scales: Scales | None) -> None:
+def _explain(panels: list[Axes], hue: Hue | None, scales: Scales | None) -> None:
     """The legend of the series, or their colour bar."""
     if hue is None:
         return add_legend(panels)

@@ -33,7 +33,7 @@ from ..model.provenance import versions
 from ..model.sliding import has_uniform_damping
 from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES
-from ..plotting.sweeps import figure
+from ..plotting.pages import figure
 from ..simulation.event_driven import EventDriven
 from ..sweeps.store import describe, stores_in
 from ..sweeps.sweeping import SweepInterrupted, sweep

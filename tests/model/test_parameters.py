@@ -19,7 +19,6 @@ from jaxchain import (
 )
 from jaxchain.model import MechanicalCells, friction
 from jaxchain.model.parameters import CHAIN, FRICTION, PARAMETERS, parameter
-from jaxchain.plotting.style import SYMBOLS
 from jaxchain.scenes.scene import schema
 
 N = 3
@@ -115,11 +114,10 @@ def test_every_number_may_be_swept_and_has_words_and_a_unit_in_the_dataset():
 
 
 def test_words_letters_and_units():
-    assert SYMBOLS["belt_speed"] == r"belt speed $\tilde v_d$ (–)"
-    assert SYMBOLS["stiffness"] == "relative stiffness (–)"
+    assert PARAMETERS["belt_speed"].label == r"belt speed $\tilde v_d$ (–)"
+    assert PARAMETERS["stiffness"].label == "relative stiffness (–)"
     assert PARAMETERS["mu_static"].long_name == "static friction coefficient mu_st"
     assert PARAMETERS["width"].long_name == "regularization width epsilon"
-    assert set(PARAMETERS) <= set(SYMBOLS)
     speeds = {name for name, row in PARAMETERS.items() if row.unit == "x0 omega_n"}
     assert speeds == {"belt_speed", "v_ref", "width"}
 

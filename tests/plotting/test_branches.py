@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
+from drawn import SCALES, legend, page_of
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from synthetic import cycle_branch, special_curve
@@ -14,14 +14,9 @@ from synthetic import cycle_branch, special_curve
 from jaxchain.continuation.branch import Branch
 from jaxchain.cycles.shooting import Shooting
 from jaxchain.model.ready_made import VanDerPol
-from jaxchain.model.units import Scales
 from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, plot_special_curves, smooth
 from jaxchain.plotting.style import COLUMN_WIDTH
 from jaxchain.solvers.rosenbrock import Rodas5P
-
-SCALES = Scales.from_dimensional(
-    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
-)
 
 
 def points(line):
@@ -35,14 +30,6 @@ def named(axes):
     for line in axes.get_lines():
         found.setdefault(line.get_label(), []).append(line)
     return found
-
-
-def page_of(axes) -> Any:
-    return axes.get_figure(root=True)
-
-
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 def test_the_line_is_the_energy_solid_while_stable_and_dashed_beyond_the_fold():

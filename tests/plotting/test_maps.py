@@ -4,20 +4,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from drawn import SCALES, bar, legend
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from synthetic import ladder, results, special_curve
 
-from jaxchain.model.units import Scales
 from jaxchain.plotting.branches import PARTS, plot_special_curves
 from jaxchain.plotting.maps import plot_map
 from jaxchain.plotting.style import GREY, RED, save_figure, shades
 from jaxchain.result import NAMES
 
 SPEEDS, DAMPING = np.array([1.0, 1.2, 1.6]), np.array([0.1, 0.2])
-SCALES = Scales.from_dimensional(
-    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
-)
 
 
 def runs(counts=((0, 1), (2, 3), (3, 3))):
@@ -32,14 +29,6 @@ def edges(axes):
     """Those of the columns and of the rows."""
     corners = meshes(axes)[0].get_coordinates()
     return corners[0, :, 0], corners[:, 0, 1]
-
-
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
-
-
-def bar(axes):
-    return axes.get_figure(root=True).axes[-1]
 
 
 def test_each_run_is_a_cell_at_its_place_whichever_way_round_the_axes_are():

@@ -7,6 +7,7 @@ from typing import Any, cast
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from drawn import SCALES, across, height, legend
 from matplotlib.animation import writers
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
@@ -16,13 +17,11 @@ from scipy.integrate import solve_ivp
 
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.ready_made import ModeCoupling
-from jaxchain.model.units import Scales
 from jaxchain.observers.samples import Trajectory
 from jaxchain.observers.stick_time import StickTime
 from jaxchain.plotting.motions import (
     _Film,
     animate,
-    film_strip,
     loop,
     plot_phase_portrait,
     plot_space_time,
@@ -33,23 +32,8 @@ from jaxchain.plotting.style import BLUE, ORANGE
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 
-SCALES = Scales.from_dimensional(
-    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
-)
 TIMES = np.linspace(0.0, 10.0, 50)
 STATES = np.cos(TIMES[:, None] + np.arange(3)), -np.sin(TIMES[:, None] + np.arange(3))
-
-
-def across(line):
-    return np.asarray(line.get_xdata())
-
-
-def height(line):
-    return np.asarray(line.get_ydata())
-
-
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 @pytest.mark.parametrize(("y", "part"), [("displacement", 0), ("velocity", 1)])
@@ -66,7 +50,7 @@ def test_a_line_over_time_for_each_mass(y, part):
 
 
 def test_pictures_of_a_run_take_the_same_arguments_in_the_same_order():
-    for draw in (plot_time_series, plot_phase_portrait, plot_space_time, animate, film_strip):
+    for draw in (plot_time_series, plot_phase_portrait, plot_space_time, animate):
         order = inspect.signature(draw).parameters
         positional = [name for name, p in order.items() if p.kind is not p.KEYWORD_ONLY]
         assert positional == ["times", "states", "model"]
@@ -265,9 +249,8 @@ def test_a_loop_of_what_rests_or_does_not_come_back_is_refused():
 
 def artists(width=None, n=3, frames=24, belt_speed=1.0):
     chain, times, states = made_up(n, frames, belt_speed, width)
-    page = film_strip(times, states, chain, stills=1)
     shown = list(range(n))
-    scene = _Film(page.axes[0], chain, times, states, shown)
+    scene = _Film(Figure().subplots(), chain, times, states, shown)
     return scene, (times, states)
 
 
@@ -320,10 +303,8 @@ def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
     chain, times, states = made_up(2)
     strip, plane = Figure().subplots(1, 2)
     curves = _Film(Figure().subplots(), chain, times, states, [0, 1])
-    curves.add_curves(strip, plane)
-    closed = [
-        x for x in (np.ravel(line.get_xdata()) for line in plane.get_lines()) if len(x) == 25
-    ]
+    curves.add_curves(strip, plane, states)
+    closed = [x for x in map(across, plane.get_lines()) if len(x) == 25]
     assert len(closed) == 4  # for each mass a thin line, and a bold one where it sticks
     assert all(x[0] == x[-1] for x in closed)
     for frame in (0, 7, 23):
@@ -335,7 +316,7 @@ def test_points_run_along_their_curves_and_a_loop_is_drawn_closed():
     half = slice(0, 12)
     cut = (states[0][half], states[1][half])
     open_ = _Film(Figure().subplots(), chain, times[half], cut, [0, 1])
-    assert len(open_._closed()[0]) == 12
+    assert len(open_._closed(cut)[0]) == 12
 
 
 def test_a_gif_opens_with_every_frame_and_is_small(tmp_path, monkeypatch):
@@ -363,17 +344,3 @@ def test_a_gif_opens_with_every_frame_and_is_small(tmp_path, monkeypatch):
     stuck = sticking(chain, states).any(axis=1)
     assert orange[stuck].min() > orange[~stuck].max() + 20
     assert path.stat().st_size < 60_000
-
-
-def test_stills_are_at_equal_distances_and_numbered_round_the_ring():
-    chain = paper_chain(n=20)
-    times = np.linspace(0.0, 1.9, 20)
-    x = np.zeros((20, 20))
-    x[:, [0, 19]] = np.sin(times)[:, None]
-    page = film_strip(times, (x, 0 * x), chain, stills=4)
-    titles = [axes.get_title(loc="right") for axes in page.axes]
-    assert titles == [rf"$\tau$ = {t:.2f}" for t in (0.0, 0.5, 1.0, 1.5)]
-    numbers = [text.get_text() for text in page.axes[0].texts if text.get_text().isdigit()]
-    assert numbers == ["17", "18", "19", "20", "1", "2", "3", "4"]
-    free = film_strip(times, (x, 0 * x), chain.with_(ends="free"), stills=1).axes[0]
-    assert next(t.get_text() for t in free.texts if t.get_text().isdigit()) in ("1", "13")

@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 import xarray as xr
+from drawn import SCALES
 
-from jaxchain.model.units import Scales
 from jaxchain.plotting.style import axis, value_of
-
-SCALES = Scales.from_dimensional(
-    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
-)
 
 
 @pytest.mark.parametrize(

@@ -43,8 +43,6 @@ def rows() -> Iterator[Row]:
     }  # fmt: skip
     bad = {**frames, "frames_per_second": POSITIVE}
     yield Row("animate", plotting.animate, film, bad)
-    strip = {**film, "stills": 2}
-    yield Row("film_strip", plotting.film_strip, strip, {**frames, "stills": (*COUNT, 4)})
     yield Row(
         "loop", plotting.loop, {"model": CHAIN, "state": STATE},
         {
@@ -59,16 +57,7 @@ def rows() -> Iterator[Row]:
 
 
 def _drawings() -> Iterator[Row]:
-    page = Figure()
-    axes = page.subplots()
-    good = {"axes": axes, "chain": CHAIN}
-    bad = {"axes": (None, "x"), "chain": A_CHAIN}
-    yield Row("draw_friction", plotting.draw_friction, good, bad)
-    more = {**bad, "masses": (*COUNT, 7)}
-    yield Row("draw_mechanism", plotting.draw_mechanism, {**good, "masses": 3}, more)
-    bad = {"chain": optional(A_CHAIN), "masses": (*COUNT, 7), "axes": ("x", 3, axes)}
-    yield Row("draw_model", plotting.draw_model, {}, bad)
-    good, bad = {"page": page, "path": "page"}, {"page": (None, "x"), "path": (None, 3)}
+    good, bad = {"page": Figure(), "path": "page"}, {"page": (None, "x"), "path": (None, 3)}
     yield Row("save_figure", plotting.save_figure, good, bad)
     datasets = (None, "x", [], {}, {"a": 3})
     yield Row("figure", plotting.figure, {}, {"datasets": datasets})

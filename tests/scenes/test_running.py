@@ -14,7 +14,7 @@ from synthetic import stored
 
 import jaxchain
 from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
-from jaxchain.plotting.sweeps import figure
+from jaxchain.plotting.pages import figure
 from jaxchain.scenes import running
 from jaxchain.scenes.building import build_chain, build_observers
 from jaxchain.scenes.files import SceneError, builtin_scenes

@@ -1,0 +1,10 @@
+"""Figure 9 of the paper: localized states and their delays at a belt speed of 1.65.
+
+A ring of ten for 300 time units; `--full` takes twenty for 15,000, as the paper.
+"""
+
+from _paper import draw_circles_and_delays
+
+from jaxchain.plotting import save_figure
+
+save_figure(draw_circles_and_delays("fig9"), "fig9")
