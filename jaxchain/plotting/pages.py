@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
@@ -38,11 +39,12 @@ from .style import (
     STYLE,
     add_colour_bar,
     add_legend,
-    looks,
+    shades,
 )
-from .sweeps import Series, draw_runs, draw_series, hue_of, named_values
+from .sweeps import MOST_SHADES, Series, draw_runs, draw_series, hue_of, named_values
 
 PANEL_HEIGHT = 2.9
+MOST_VECTORS = 10_000  # points that a PDF viewer still draws without delay
 NONE_VIBRATES = r"no $\tilde A_n > \tilde v_d/2$"
 NOT_VIBRATING = f"moves, {NONE_VIBRATES}"
 
@@ -167,22 +169,22 @@ def _kinds_of_runs(
     "Neither" is motion without a vibrating mass: a vibration that dies out or has just begun, or
     masses that are shaken by neighbours.
     """
-    good, point = ~failed(data) & np.isfinite(values), {"linestyle": "none"}
+    good = ~failed(data) & np.isfinite(values)
+    point: dict[str, Any] = {"linestyle": "none"}
     vibrating: dict[str, Any] = {"color": BLUE, "marker": "o", "markersize": 3.2}
     if "active_count" not in data:
         return [(good, "", vibrating | point)], None
     count, resting = data["active_count"], slides_steadily(data)
     none, shade = good & (count == 0), None
-    still = none if resting is None else none & resting
+    still = none & (False if resting is None else resting)
     series: list[Series] = [(good & (count > 0), "vibrating", vibrating)]
     if masses(data) > 1:
-        numbers = np.arange(1, masses(data) + 1)
-        styles, shade = looks(numbers)
-        look: Any = {"marker": "o", "markersize": 3.2}
+        levels = min(masses(data), MOST_SHADES)
+        shade = ScalarMappable(Normalize(0.5, masses(data) + 0.5), shades(levels))
+        level = np.ceil(count * levels / masses(data))
         series = [
-            (good & (count == number), "" if shade else f"{number} vibrate", {"color": c} | look)
-            for number, (c, _) in zip(numbers, styles, strict=True)
-            if np.any(count == number)
+            (good & (level == k), "", vibrating | {"color": shade.cmap(k - 1)})
+            for k in range(1, levels + 1)
         ]
     square: dict[str, Any] = {"marker": "s", "color": ORANGE, "markersize": 2.8}
     hollow = square | {"markerfacecolor": "white", "markeredgewidth": 0.8}

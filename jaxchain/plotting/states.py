@@ -160,7 +160,7 @@ def _panels(part: Any, data: xr.Dataset) -> list[tuple[Any, xr.Dataset]]:
 
 def draw_delays(part: Any, data: xr.Dataset) -> None:
     """A panel for each state: the delay of every vibrating mass over time."""
-    panels = _panels(part, add_delays(data))
+    panels, points = _panels(part, add_delays(data)), None
     for axes, state in panels:
         points = _draw_delays(axes, state, "peak_time", r"time $\tau$ (1/$\omega_n$)")
         axes.axvline(_begin(data), color=GREY, linewidth=0.6)  # the window begins
@@ -189,7 +189,8 @@ def draw_time_series(part: Any, runs: Runs) -> None:
     alive = vibrating(runs.runs)[0]
     left, right = part.subplots(1, 2, width_ratios=(1.7, 1.0))
     grey: Any = {"color": "#999999", "label": "the others"}
-    for which, look in ((~alive, grey), (alive, {"model": chain})):
+    coloured: Any = {"model": chain}
+    for which, look in ((~alive, grey), (alive, coloured)):
         if which.any():
             masses = np.flatnonzero(which)
             plot_time_series(times, states, masses=masses, ax=left, **look)

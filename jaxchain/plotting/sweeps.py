@@ -141,7 +141,10 @@ def plot_sweep(
         series = _series(values, shades, roles["x"], scales)
         for axes, panel in zip(grid, panels, strict=True):
             part = data.isel(panel)
-            here = [(runs.isel(panel, missing_dims="ignore"), *look) for runs, *look in series]
+            here = [
+                (runs.isel(panel, missing_dims="ignore"), word, look)
+                for runs, word, look in series
+            ]
             draw_series(axes, part, values.isel(panel), roles["x"], here, scales)
             axes.set_title("\n".join(value_of(part[name], scales) for name in faceted))
             if given is None:

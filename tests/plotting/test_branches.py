@@ -162,14 +162,6 @@ def test_the_line_has_no_corners_and_no_folds_of_its_own():
     assert corner(x, y) < 0.25 * corner(t**2, t)
 
 
-def test_the_cycles_that_scenes_save_are_drawn_too():
-    point = {name: ("point", [1.0, 1.5, 1.8, 1.2]) for name in ("belt_speed", "amplitude")}
-    data = xr.Dataset({**point, "stable": ("point", [True, True, False, False])})
-    (stable,), (unstable,) = (named(plot_branch(data))[k] for k in ("stable", "unstable"))
-    assert points(stable)[0].tolist() == [1.0, 1.5]
-    assert points(unstable)[1].tolist() == [1.5, 1.8, 1.2]
-
-
 def test_a_line_is_straight_beside_a_missing_number_and_may_stand_still():
     x, y = smooth(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, np.nan, 3.0]))
     np.testing.assert_array_equal(x[::PARTS], [0.0, 1.0, 2.0, 3.0])

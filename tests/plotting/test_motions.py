@@ -1,6 +1,5 @@
 """Runs over time, in the phase plane and as films: lines, who sticks, loops that close."""
 
-import inspect
 import itertools
 from typing import Any, cast
 
@@ -18,7 +17,6 @@ from scipy.integrate import solve_ivp
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.ready_made import ModeCoupling
 from jaxchain.observers.samples import Trajectory
-from jaxchain.observers.stick_time import StickTime
 from jaxchain.plotting.motions import (
     _Film,
     animate,
@@ -47,15 +45,6 @@ def test_a_line_over_time_for_each_mass(y, part):
     assert y in axes.get_ylabel()
     (line,) = plot_time_series(TIMES, STATES, y=y, masses=[2]).get_lines()
     np.testing.assert_array_equal(height(line), STATES[part][:, 2])
-
-
-def test_pictures_of_a_run_take_the_same_arguments_in_the_same_order():
-    for draw in (plot_time_series, plot_phase_portrait, plot_space_time, animate):
-        order = inspect.signature(draw).parameters
-        positional = [name for name, p in order.items() if p.kind is not p.KEYWORD_ONLY]
-        assert positional == ["times", "states", "model"]
-    with pytest.raises(ValueError, match="`model` must be a `Chain`, but is a tuple"):
-        animate(*cast(Any, (paper_chain(3), TIMES, STATES)))
 
 
 def test_the_phase_plane_has_velocity_over_displacement():
@@ -220,23 +209,6 @@ def test_a_mass_of_the_smoothed_law_sticks_if_it_is_slow_and_held():
         False,
         False,
     ]
-
-
-@pytest.mark.long
-def test_frames_of_the_smoothed_law_add_up_to_its_stick_time():
-    chain = paper_chain(n=1, belt_speed=1.0, width=1e-3)
-    times = jnp.linspace(0.0, 15.0, 1501)
-    begin = jnp.array([0.5]), jnp.array([1.0])
-    run = simulate(chain, begin, 15.0, observe=[StickTime(), Trajectory(times)])
-    x, v = (np.asarray(part) for part in run.observed[1])
-    stuck = sticking(chain, (x, v))
-    changes = np.count_nonzero(np.diff(stuck[:, 0]))
-    assert changes == 5
-    total = float(run.observed[0][0])
-    assert stuck.sum() * 0.01 == pytest.approx(total, abs=0.5 * 0.01 * changes)
-    # By the speed alone it would stick longer: a mass that is let go leaves the belt slowly.
-    slow = np.abs(v - 1.0) <= float(chain.stick_speed())
-    assert slow.sum() > stuck.sum() + 5
 
 
 def test_a_loop_of_what_rests_or_does_not_come_back_is_refused():

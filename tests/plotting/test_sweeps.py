@@ -146,12 +146,6 @@ def test_one_oscillator_shows_its_amplitude_in_si_if_asked():
     np.testing.assert_allclose(height(line), 0.05 * known, rtol=1e-14)
 
 
-def test_segments_of_the_same_run_are_joined():
-    data = results({"belt_speed": [1.0], "segment": [1, 2, 3]}, [[1, 1, 1]], 1)
-    (line,) = plot_sweep(data, x="segment").get_lines()
-    assert line.get_linestyle() == "-"
-
-
 def test_a_variable_tells_all_runs_of_one_panel_apart():
     data = ladder()
     axes = plot_sweep(data, hue="active_count")
@@ -224,3 +218,9 @@ def test_more_panels_than_are_legible_are_refused():
     axes = {name: [0.1, 0.2] for name in ("belt_speed", "coupling", "width", "v_ref", "mu_static")}
     with pytest.raises(ValueError, match=r"dimension `v_ref` of 2 values and `mu_static` of 2"):
         plot_sweep(results(axes, np.zeros((2,) * 5, int), 2))
+
+
+def test_times_are_joined_within_one_run_only():
+    data = ladder().rename(belt_speed="segment")
+    for hue, style in (("excited", "-"), ("active_count", "None")):
+        assert {line.get_linestyle() for line in plot_sweep(data, hue=hue).get_lines()} == {style}
