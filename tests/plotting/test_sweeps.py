@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from drawn import SCALES, across, height, heights, legend, legend_of, page_of
+from drawn import SCALES, across, bar, height, heights, legend, legend_of, page_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from synthetic import cycle_branch, ladder, results, single
