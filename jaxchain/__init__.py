@@ -15,7 +15,7 @@ The most-used names can be imported from `jaxchain`; the rest live in submodules
 - `localization`: patterns, fronts, mistuning
 - `basins`: how likely each state is, and how hard a blow starts vibration
 - `inverse`: design and identification
-- `plotting`: pictures, films
+- `plotting`: figures, drawings, films
 - `scenes`: experiments as TOML files
 
 `help(jaxchain.boundaries)` lists the files and names of a submodule.  Names are imported on first

@@ -18,7 +18,7 @@ from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.plotting.laws import plot_friction_law
+from jaxchain.plotting.model import plot_friction_law
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 from jaxchain.sweeps.sweeping import sweep

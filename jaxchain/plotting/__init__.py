@@ -1,11 +1,11 @@
-"""Pictures of sweeps, branches, runs and friction laws; films.
+"""Pictures of the model, of sweeps, branches and runs; films.
 
 - `branches`: a branch with its stability and its special points
 - `diagram`: what a bifurcation diagram shows beside its points
 - `fits`: the profile likelihood of a fitted number
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry
 - `maps`: a quantity over two swept parameters, with curves of special points laid over
-- `laws`: the friction law, dry and smoothed
+- `model`: the chain on its belt, and its friction law
 - `modes`: frequencies and growth rates of modes over a parameter
 - `motions`: a run over time, in the phase plane, and as a film
 - `pages`: figures of whole scenes, a panel for each sweep

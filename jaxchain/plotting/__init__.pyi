@@ -1,8 +1,9 @@
 from .branches import plot_branch as plot_branch
 from .branches import plot_special_curves as plot_special_curves
 from .fits import plot_profile as plot_profile
-from .laws import plot_friction_law as plot_friction_law
 from .maps import plot_map as plot_map
+from .model import draw_model as draw_model
+from .model import plot_friction_law as plot_friction_law
 from .modes import plot_modes as plot_modes
 from .motions import animate as animate
 from .motions import loop as loop
