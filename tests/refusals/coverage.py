@@ -39,7 +39,6 @@ NOT_TRIED = {
     ),
     **dict.fromkeys(("Divergence", "EnergyBalance", "MostSticking"), NO_ARGUMENT),
     **dict.fromkeys(("Variable", "DimensionalParameters"), RECORD),
-    "figure_3": "calls `figure`",
     "Method": "its fields are those of `simulate`, and checked where a run begins",
 }  # fmt: skip
 

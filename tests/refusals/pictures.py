@@ -57,7 +57,11 @@ def rows() -> Iterator[Row]:
 
 
 def _drawings() -> Iterator[Row]:
-    good, bad = {"page": Figure(), "path": "page"}, {"page": (None, "x"), "path": (None, 3)}
+    page = Figure()
+    axes = page.subplots()
+    bad = {"chain": optional(A_CHAIN), "masses": (*COUNT, 7), "axes": ("x", 3, axes)}
+    yield Row("draw_model", plotting.draw_model, {}, bad)
+    good, bad = {"page": page, "path": "page"}, {"page": (None, "x"), "path": (None, 3)}
     yield Row("save_figure", plotting.save_figure, good, bad)
     datasets = (None, "x", [], {}, {"a": 3})
     yield Row("figure", plotting.figure, {}, {"datasets": datasets})
