@@ -19,13 +19,16 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from ._configure import configure
 from ._limits import MOST_WORKERS
 from .model.parameters import parameter
 from .scenes.files import SceneError, builtin_scenes, read_scene, scene_file
+
+if TYPE_CHECKING:
+    from .scenes.scene import LoadedScene
 
 _EXAMPLES = """\
 examples:
@@ -241,56 +244,44 @@ def _scheduler(text: str) -> str:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from .scenes.scene import load_scene
-
-    # Before JAX is imported, so that a wrong scene is refused at once.
-    loaded = load_scene(options.scene, options.set)
     _configure(options)
     from .scenes.folder import claimed, was_cut_off
-    from .scenes.running import run_scene
+    from .scenes.scene import load_scene
 
+    loaded = load_scene(options.scene, options.set)
     wanted = options.output or Path("results") / loaded.name
-    how = _how(options, loaded.name)
-    code = [given for given in (options.law, *options.model, *options.observer) if given]
-    files = [Path(given.rpartition(":")[0]) for given in code]
 
-    def call(folder: Path, client: Any) -> None:
-        if folder != wanted:
-            cut = f"the run in {wanted} was cut off: {_goes_on(wanted)}"
-            _complain(cut if was_cut_off(wanted) else f"{wanted} is in use")
-            _complain(f"the results go to {folder}")
-        run_scene(loaded, folder, custom_files=files, client=client, **how)
+    @contextlib.contextmanager
+    def claim() -> Iterator[Path]:
+        with claimed(wanted) as folder:
+            if folder != wanted:
+                cut = f"the run in {wanted} was cut off: {_goes_on(wanted)}"
+                _complain(cut if was_cut_off(wanted) else f"{wanted} is in use")
+                _complain(f"the results go to {folder}")
+            yield folder
 
-    return _filled(options, loaded.name, wanted, claimed(wanted), call)
+    return _filled(options, loaded, wanted, claim())
 
 
 def _resume(options: argparse.Namespace) -> int:
-    from .scenes.scene import load_scene
-
     folder = Path(options.folder)
     if not os.path.isdir(folder) or folder.suffix == ".zarr":  # which never raises
         begins = "`jaxchain run` makes one; for a store made in Python repeat the same `sweep`"
         raise SceneError(options.folder, [f"must be a folder of results to continue: {begins}"])
-    loaded = load_scene(
-        os.path.join(".", folder)
-    )  # a folder, even if a built-in scene has its name
     _configure(options)
-    from .scenes.running import resume_scene
+    from .scenes.scene import load_scene
 
-    how = _how(options, loaded.name)
-
-    def call(folder: Path, client: Any) -> None:
-        resume_scene(loaded, folder, client=client, **how)
-
-    return _filled(options, loaded.name, folder, contextlib.nullcontext(folder), call)
+    path = os.path.join(".", folder)  # a folder, even if a built-in scene has its name
+    return _filled(options, load_scene(path), folder, contextlib.nullcontext(folder))
 
 
 def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
-    """The arguments of `run_scene` and `resume_scene`."""
+    """The arguments of `run_scene` besides a scene and a folder."""
     from .scenes.building import load_law, load_model, load_observer
 
     kinds = [load_observer(given, scene) for given in options.observer]
     models = [load_model(given, scene) for given in options.model]
+    code = [given for given in (options.law, *options.model, *options.observer) if given]
     if options.netcdf and importlib.util.find_spec("h5netcdf") is None:
         raise _MisusedError("--netcdf needs h5netcdf: pip install 'jaxchain[netcdf]'")
     if options.quiet:
@@ -299,6 +290,7 @@ def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
         "custom_law": None if options.law is None else load_law(options.law, scene),
         "custom_observers": {kind.__name__: kind for kind in kinds},
         "custom_models": {kind.__name__: kind for kind in models},
+        "custom_files": [Path(given.rpartition(":")[0]) for given in code],
         "plot": not options.no_plot,
         "netcdf": options.netcdf,
         "progress": not options.quiet,
@@ -309,19 +301,20 @@ def _how(options: argparse.Namespace, scene: str) -> dict[str, Any]:
 
 def _filled(
     options: argparse.Namespace,
-    name: str,
+    loaded: LoadedScene,
     wanted: Path,
     claim: contextlib.AbstractContextManager[Path],
-    call: Callable[[Path, Any], None],
 ) -> int:
     """Fills a folder of results and reports errors; the exit status."""
     from .scenes.folder import FigureError, Results, StorageError, listing, was_cut_off
+    from .scenes.running import run_scene
     from .sweeps.store import StoreError
 
+    how, name = _how(options, loaded.name), loaded.name
     folder, status = None, 1
     try:
         with _client(options) as client, claim as folder, _interruptible():
-            call(folder, client)
+            run_scene(loaded, folder, client=client, **how)
         status = 0
     except KeyboardInterrupt:
         _complain("interrupted")

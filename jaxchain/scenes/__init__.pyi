@@ -8,11 +8,7 @@ from .folder import Results as Results
 from .folder import StorageError as StorageError
 from .folder import claimed as claimed
 from .report import renew_page as renew_page
-from .running import resume_scene as resume_scene
-from .running import run_experiment as run_experiment
 from .running import run_scene as run_scene
-from .scene import CellsExperiment as CellsExperiment
-from .scene import Experiment as Experiment
 from .scene import LoadedScene as LoadedScene
 from .scene import Scene as Scene
 from .scene import load_scene as load_scene

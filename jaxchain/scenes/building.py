@@ -1,4 +1,7 @@
-"""The chain or cells, start, observers and solver of an experiment, from its tables.
+"""The model, start, observers and method of an experiment, from its tables; your own classes.
+
+Each is made once, by the constructors of the library.  What these refuse, and what `sweep` would,
+is refused here, before anything runs, with the key it belongs to.
 
 A scene contains only the numbers of a custom friction law, model or observer; its code runs only
 if its file is named on the command line.
@@ -6,336 +9,438 @@ if its file is named on the command line.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import importlib.util
 import inspect
 import keyword
+import math
 import os
+import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import diffrax as dfx
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from .. import observers, solvers
 from .._checks import to_float
+from .._limits import MOST_LANES, MOST_STORED
 from .._spelling import did_you_mean
 from .._types import State
-from ..model import friction, initial_states, ready_made
+from ..model import initial_states
 from ..model.arguments import as_state
 from ..model.cells import AbstractCells
 from ..model.chain import Chain
-from ..model.friction import AbstractFrictionLaw
-from ..model.model import AbstractModel
-from ..model.parameters import CHAIN
+from ..model.friction import AbstractFrictionLaw, TanhFriction
+from ..model.parameters import parameter
 from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
-from ..simulation.method import check_resolved, fit_linear_solve
+from ..observers.fronts import FrontTrack
+from ..simulation.event_driven import EventDriven
+from ..simulation.method import Method, fit_linear_solve
+from ..simulation.run import check_fit
 from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
 from .files import SceneError
-from .scene import (
-    AbstractExperiment,
-    AnyExperiment,
-    CellsExperiment,
-    Experiment,
-    LoadedScene,
-)
+from .scene import MISSING, Experiment, LoadedScene
 from .tables import (
-    CustomLawTable,
-    CustomObserverTable,
+    FEWER,
+    INDICES,
+    LAWS,
+    MOST_NUMBERS,
+    OBSERVERS,
+    READY_MADE,
     ExcitedTable,
-    ObserveTable,
     Table,
-    TabulatedTable,
 )
 
-LAWS = {
-    "exponential_decay": friction.ExponentialDecay,
-    "weakening_strengthening": friction.WeakeningStrengthening,
-    "gaussian_stribeck": friction.GaussianStribeck,
-    "coulomb": friction.Coulomb,
-}
-# The classes of cells that a scene may name without a file.
-READY_MADE: dict[str, type[AbstractCells]] = {
-    name: kind
-    for name, kind in vars(ready_made).items()
-    if inspect.isclass(kind) and issubclass(kind, AbstractCells)
-    if kind.__module__ == ready_made.__name__ and not name.startswith("_")
-}
 _Made = TypeVar("_Made")
 
 
-def build_chain(
-    experiment: Experiment, custom_law: type[AbstractFrictionLaw] | None = None
-) -> Chain:
-    """The chain of an experiment, with the first value of every swept number.
+@dataclass(frozen=True)
+class Custom:
+    """Your own classes, which replace or complete what the scenes name."""
 
-    `custom_law` replaces the law that the experiment names.
+    law: type[AbstractFrictionLaw] | None = None
+    observers: Mapping[str, type[AbstractObserver]] = dataclasses.field(default_factory=dict)
+    models: Mapping[str, type[AbstractCells]] = dataclasses.field(default_factory=dict)
 
-    **Raises:** `ValueError` for inconsistent numbers, or numbers that do not fit the law.
+
+@dataclass(frozen=True)
+class Built:
+    """An experiment, ready for `sweep`: with the first value of every swept number."""
+
+    model: Any
+    initial: Callable[..., State]
+    observe: list[AbstractObserver]
+    methods: dict[str, Method]
+    """Of runs with smoothed friction, and with dry friction."""
+    variables: tuple[str, ...]
+    """The names of the variables of a cell."""
+    fits_memory: bool
+    """Whether the results of its runs do."""
+
+
+class _LocatedError(ValueError):
+    """What is wrong, with its key."""
+
+
+@contextlib.contextmanager
+def _at(path: str, swept: Sequence[str] = (), **keys: str) -> Iterator[None]:
+    """Gives the errors of the library the key of their argument, below `path` or in `sweep`.
+
+    `keys`: those that are called otherwise than the argument.
     """
-    table, grid = experiment.chain, experiment.grid()
-
-    def number(name: str) -> Any:
-        given = float(grid[name][0]) if name in grid else experiment.given(name)
-        return np.array(given, float) if isinstance(given, list) else given
-
-    smoothed = _build_friction(experiment, "chain", custom_law)
-    return Chain(table.n, smoothed, ends=table.ends, **{name: number(name) for name in CHAIN})
-
-
-def _build_friction(
-    experiment: AbstractExperiment, path: str, custom_law: type[AbstractFrictionLaw] | None
-) -> friction.TanhFriction:
-    table, grid = experiment.friction, experiment.grid()
-    numbers: dict[str, Any] = {
-        name: float(grid[name][0]) if name in grid else getattr(table, name)
-        for name in experiment.friction_numbers()
-    }
-    width = numbers.pop("width")
-    if custom_law is not None:
-        law = make(custom_law, numbers, f"{path}.friction")
-    elif isinstance(table, CustomLawTable):
-        raise ValueError(
-            f'{path}.friction.law: is "custom", so the law must be named on the command line: '
-            "--law FILE.py:CLASS"
-        )
-    elif isinstance(table, TabulatedTable):
-        law = TabulatedFriction(table.speed, table.mu)
-    else:
-        law = LAWS[table.law](**numbers)
-    return friction.TanhFriction(law, width)
+    try:
+        yield
+    except _LocatedError:
+        raise
+    except (ValueError, OverflowError) as error:
+        text = str(error)
+        found = re.match(r"Argument `(?:over\[')?(\w+)[^`]*` (?:names '(\w+)', which )?", text)
+        if found is None:
+            raise _LocatedError(f"{path}: {text}") from error
+        name = found[2] or keys.get(found[1], found[1])
+        where = f"sweep.{name}" if found[2] or name in swept else f"{path}.{name}"
+        where = {"over": "sweep", "initial": "initial", "observe": path}.get(name, where)
+        raise _LocatedError(f"{where}: {text[found.end() :]}") from error
 
 
-def build_cells(
-    experiment: CellsExperiment,
-    custom_law: type[AbstractFrictionLaw] | None = None,
-    custom_models: Mapping[str, type[AbstractCells]] | None = None,
-) -> AbstractCells:
-    """The cells of an experiment, with the first value of every swept number.
+class _Builder:
+    """Makes the parts of one experiment."""
 
-    **Raises:** `ValueError` for a class that is not known, and for numbers that do not fit it.
-    """
-    table, known = experiment.model, READY_MADE | dict(custom_models or {})
-    if table.kind not in known:
-        raise ValueError(
-            f"model.kind: is `{table.kind}`, so this class must be named on the command line: "
-            f"--model FILE.py:{table.kind}{did_you_mean(table.kind, known)}; ready-made are "
-            f"{', '.join(READY_MADE)}"
-        )
-    kind = known[table.kind]
-    static = {f.name: f.metadata.get("static", False) for f in dataclasses.fields(kind)}
-    given = table.model_dump(exclude={"kind", "n", "friction"}, exclude_none=True)
-    given |= {name: float(v[0]) for name, v in experiment.grid().items() if name in static}
-    numbers = {k: v if static.get(k, True) else to_float(v, k) for k, v in given.items()}
-    if isinstance(table.friction, Table):
-        numbers["friction"] = _build_friction(experiment, "model", custom_law)
-    elif table.friction is not None:
-        numbers["friction"] = to_float(table.friction, "friction")
-    return make(kind, numbers, "model")
+    def __init__(self, experiment: Experiment, custom: Custom):
+        self.experiment, self.custom = experiment, custom
+        self.grid, self.n = experiment.grid(), experiment.cells.n
+        self.first = {name: values[0].item() for name, values in self.grid.items()}
 
+    def make(self, kind: type[_Made], table: Mapping[str, Any], path: str, **more: Any) -> _Made:
+        """A law, a model or an observer, from the keys of its table and what is swept.
 
-def component_names(experiment: CellsExperiment, cells: AbstractCells) -> tuple[str, ...]:
-    """The names of the m variables of a cell; if it has none, their numbers 0 ... m - 1."""
-    names = cells.components or tuple(map(str, range(len(experiment.initial))))
-    if not names:
-        raise ValueError(
-            "initial: must have all numbers of a cell, such as `0 = 0.0`, because "
-            f"`{experiment.model.kind}` does not name them in `components`"
-        )
-    return names
+        **Raises:** `ValueError` for numbers that are not its fields, or are missing.
+        """
+        fields, chain = inspect.signature(kind).parameters, issubclass(kind, Chain)
+        numbers = {name: value for name, value in table.items() if value is not None}
+        swept = [name for name in fields if name in self.first]
+        numbers |= {name: self.first[name] for name in swept} | more
+        if unknown := next((name for name in numbers if name not in fields), None):
+            has = f"{did_you_mean(unknown, fields)}; its fields: {', '.join(fields) or 'none'}"
+            raise _LocatedError(f"{path}.{unknown}: is not a field of {kind.__name__}{has}")
+        for name, field in fields.items():
+            required = field.default is field.empty or (chain and parameter(name).required)
+            if required and name not in numbers:
+                raise _LocatedError(f"{path}.{name}: {MISSING}")
+        made: Any = kind
+        with _at(path, swept):
+            try:
+                return made(**numbers)
+            except TypeError as error:
+                raise ValueError(f"{kind.__name__} cannot be made: {error}") from error
 
-
-def _component(given: str | int, names: Sequence[str], where: str) -> int:
-    """The number of a component from its name or number, or `ValueError`."""
-    numbers = {str(k): k for k in range(len(names))} | {name: k for k, name in enumerate(names)}
-    if str(given) not in numbers:
-        near = did_you_mean(str(given), numbers)
-        raise ValueError(f"{where} is not a number of a cell{near}; it has: {', '.join(numbers)}")
-    return numbers[str(given)]
-
-
-def build_start(experiment: CellsExperiment, cells: AbstractCells) -> Callable[..., State]:
-    """The initial state as a function of the cells and of the swept numbers of the start.
-
-    A number that is swept has its name as a parameter, or `component_K` if its name cannot be one.
-    """
-    names, n, given = component_names(experiment, cells), experiment.n, {}
-    for key, value in experiment.initial.items():
-        k = _component(key, names, f"initial.{key}:")
-        if k in given:
-            raise ValueError(
-                f"initial.{key}: is given twice, by name and by number: leave one out"
+    def friction(self, table: Any, path: str) -> TanhFriction:
+        """Smoothed friction."""
+        numbers = table.model_dump(exclude={"law", "file", "width"})
+        kind = self.custom.law or LAWS.get(table.law, TabulatedFriction)
+        numbers = {} if self.custom.law and table.law == "tabulated" else numbers
+        if self.custom.law is None and table.law == "custom":
+            raise _LocatedError(
+                f'{path}.law: is "custom", so the law must be named on the command line: '
+                "--law FILE.py:CLASS"
             )
-        given[k] = np.asarray(value, float)
-    fields = cells.parameters()
-    parameters = [
-        f"component_{k}"
-        if name in fields or keyword.iskeyword(name) or not name.isidentifier()
-        else name
-        for k, name in enumerate(names)
-    ]
-    allowed = [*fields, *parameters]
-    for name in experiment.sweep:
-        if name not in allowed:
-            near = did_you_mean(name, allowed)
-            raise ValueError(f"sweep.{name}: cannot be swept{near}; allowed: {', '.join(allowed)}")
+        law = self.make(kind, numbers, path)
+        return self.make(TanhFriction, {"width": table.width}, path, law=law)
 
-    def start(_: AbstractCells, **own: Any) -> State:
-        parts = (own.get(name, given.get(k, 0.0)) for k, name in enumerate(parameters))
-        return tuple(jnp.broadcast_to(jnp.asarray(part, float), (n,)) for part in parts)
+    def model(self) -> Any:
+        """The chain or cells."""
+        table, path = self.experiment.cells, self.experiment.of
+        given = table.model_dump(exclude={"kind", "friction"})
+        friction = getattr(table, "friction", None)
+        if isinstance(friction, Table):
+            given["friction"] = self.friction(friction, f"{path}.friction")
+        elif friction is not None:
+            given["friction"] = friction
+        if self.experiment.is_chain:
+            where = "sweep" if "coupling" in self.grid else path
+            if self.n == 1 and (where == "sweep" or table.coupling is not None):
+                alone = "must be left out: a single mass (`n` = 1) has no neighbours"
+                raise _LocatedError(f"{where}.coupling: {alone}")
+            arrays = {k: np.array(v) if isinstance(v, list) else v for k, v in given.items()}
+            return self.make(Chain, arrays, path)
+        known = READY_MADE | dict(self.custom.models)
+        if table.kind not in known:
+            raise _LocatedError(
+                f"model.kind: is `{table.kind}`, so this class must be named on the command line: "
+                f"--model FILE.py:{table.kind}{did_you_mean(table.kind, known)}; ready-made are "
+                f"{', '.join(READY_MADE)}"
+            )
+        del given["n"]
+        kind = known[table.kind]
+        arrays = {f.name for f in dataclasses.fields(kind) if not f.metadata.get("static")}
+        for name in (arrays & given.keys()) - {"friction"}:
+            if given[name] is not None:
+                with _at(path):
+                    given[name] = self.per_cell(to_float(given[name], name), f"{path}.{name}")
+        return self.make(kind, given, path)
 
-    taken = [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
-        for name in parameters
-    ]
-    first = inspect.Parameter("_", inspect.Parameter.POSITIONAL_ONLY)
-    start.__signature__ = inspect.Signature([first, *taken])
-    return start
+    def per_cell(self, value: Any, path: str) -> Any:
+        """A number, or a list with one for each cell."""
+        if np.ndim(value) and len(value) != self.n:
+            must = f"must be one number or {self.n} in a list (one per cell)"
+            raise _LocatedError(f"{path}: {must}, but has {len(value)}")
+        return value
 
+    def component(self, given: str | int, names: Sequence[str], where: str) -> int:
+        """The number of a variable from its name or number."""
+        numbers = {str(k): k for k in range(len(names))} | {v: k for k, v in enumerate(names)}
+        if str(given) not in numbers:
+            near = did_you_mean(str(given), numbers)
+            has = ", ".join(numbers)
+            raise _LocatedError(f"{where}: is not a number of a cell{near}; it has: {has}")
+        return numbers[str(given)]
 
-def build_initial(experiment: Experiment) -> Callable[..., State]:
-    """The initial state as a function of the chain and of the swept parameters."""
-    table = experiment.initial
-    start = table.model_dump(exclude={"kind"}, exclude_none=True)
-    if not isinstance(table, ExcitedTable):
-        return functools.partial(getattr(initial_states, table.kind), **start)
-    masses, chosen = table.excited, start.pop("oscillators", None)
-    if chosen is not None:
-        masses = jnp.asarray(np.isin(np.arange(1, experiment.chain.n + 1), chosen))
+    def variables(self, model: Any) -> tuple[str, ...]:
+        """The names of the m variables of a cell; if it has none, their numbers 0 ... m - 1."""
+        names = [variable.name for variable in model.variables]
+        names = names or [str(k) for k in range(len(self.experiment.initial))]
+        if not names:
+            raise _LocatedError(
+                "initial: must have all numbers of a cell, such as `0 = 0.0`, because "
+                f"`{self.experiment.cells.kind}` does not name them in `components`"
+            )
+        return tuple(names)
 
-    def pulled_away(
-        chain: Chain,
-        excited: Any = masses,
-        displacement: Any = table.displacement,
-        velocity: Any = table.velocity,
-    ) -> State:
+    def index(self, given: int | list[int], path: str) -> Any:
+        """Masses from 0, of masses that are counted from 1."""
+        masses = given if isinstance(given, list) else [given]
+        if max(masses) > self.n:
+            raise _LocatedError(f"{path}: must lie in 1 ... {self.n} (`n`), but is {max(masses)}")
+        return tuple(m - 1 for m in given) if isinstance(given, list) else given - 1
+
+    def initial(self) -> Callable[..., State]:
+        """The initial state of a chain as a function of the chain and of the swept numbers."""
+        table = self.experiment.initial
+        start = table.model_dump(exclude={"kind"}, exclude_none=True)
+        masses = start.pop("oscillators", None)
+        if masses is not None and "excited" in start:
+            raise _LocatedError("initial.oscillators: cannot stand beside `excited`: omit one")
+        self.index(start.get("excited", 0), "initial.excited")
+        if masses is None and "excited" not in {**start, **self.grid}:
+            raise _LocatedError(f"initial.excited: {MISSING}")
+        if not isinstance(table, ExcitedTable):
+            return functools.partial(getattr(initial_states, table.kind), **start)
         how: Any = {"block": table.block, "pattern": table.pattern}
-        return initial_states.excited_state(
-            chain, excited, amplitude=displacement, velocity=velocity, **how
+        given: Any = start.get("excited")
+        if masses is not None:
+            chosen = self.index(masses, "initial.oscillators")
+            given = jnp.asarray(np.isin(np.arange(self.n), chosen))
+
+        def pulled_away(
+            chain: Chain,
+            excited: Any = given,
+            displacement: Any = table.displacement,
+            velocity: Any = table.velocity,
+        ) -> State:
+            return initial_states.excited_state(
+                chain, excited, amplitude=displacement, velocity=velocity, **how
+            )
+
+        if masses is None:
+            return pulled_away
+        return lambda chain, displacement=table.displacement, velocity=table.velocity: pulled_away(
+            chain, given, displacement, velocity
         )
 
-    return pulled_away
+    def initial_of_cells(
+        self, model: AbstractCells, names: tuple[str, ...]
+    ) -> Callable[..., State]:
+        """The initial state as a function of the cells and of the swept numbers of the start.
 
-
-def build_observers(
-    table: ObserveTable,
-    window: float,
-    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
-    components: Sequence[str] = (),
-) -> list[AbstractObserver]:
-    """Amplitudes in the window, the observers of the table, and further custom observers.
-
-    `components`, the names of the variables of a cell, which a table may refer to.
-
-    **Raises:** `ValueError` for a custom observer that is missing or cannot be constructed.
-    """
-    how = table.model_dump(exclude={"quantities", "others"})
-    if "component" in how:
-        how["component"] = _component(how["component"], components, "observe.component:")
-    watch: list[AbstractObserver] = [observers.Amplitude(window=window, **how)]
-    unnamed = dict(custom_observers or {})
-    for i, other in enumerate(table.others or []):
-        if isinstance(other, CustomObserverTable):
-            if other.name not in (custom_observers or {}):
-                raise ValueError(
-                    f"observe.others[{i}].name: is `{other.name}`, so this observer must be named "
-                    f"on the command line: --observer FILE.py:{other.name}"
+        A swept number has its name as a parameter, or `component_K` if that cannot be one.
+        """
+        given: dict[int, Any] = {}
+        for key, value in self.experiment.initial.items():
+            k = self.component(key, names, f"initial.{key}")
+            if k in given:
+                raise _LocatedError(
+                    f"initial.{key}: is given twice, by name and by number: leave one out"
                 )
-            kind = unnamed.pop(other.name)
-            watch.append(make(kind, other.model_extra or {}, f"observe.others[{i}]"))
-            continue
-        fields = other.model_dump(exclude={"observer"})
-        for key in ("oscillator", "middle", "oscillators"):  # counted from 1 in a scene
-            if fields.get(key) is not None:
-                numbers = np.subtract(fields[key], 1).tolist()
-                fields[key] = tuple(numbers) if key == "oscillators" else numbers
-        if "component" in fields:
-            where = f"observe.others[{i}].component:"
-            fields["component"] = _component(fields["component"], components, where)
-        watch.append(getattr(observers, other.observer)(**fields))
-    return watch + [make(kind, {}, "--observer") for kind in unnamed.values()]
+            given[k] = self.per_cell(np.asarray(value, float), f"initial.{key}")
+        fields, n = model.parameters(), self.n
+        parameters = [
+            f"component_{k}"
+            if name in fields or keyword.iskeyword(name) or not name.isidentifier()
+            else name
+            for k, name in enumerate(names)
+        ]
+
+        def start(_: AbstractCells, **own: Any) -> State:
+            parts = (own.get(name, given.get(k, 0.0)) for k, name in enumerate(parameters))
+            return tuple(jnp.broadcast_to(jnp.asarray(part, float), (n,)) for part in parts)
+
+        only = inspect.Parameter.KEYWORD_ONLY
+        taken = [inspect.Parameter(name, only, default=None) for name in parameters]
+        first = inspect.Parameter("_", inspect.Parameter.POSITIONAL_ONLY)
+        start.__signature__ = inspect.Signature([first, *taken])
+        return start
+
+    def observers(self, names: Sequence[str]) -> dict[str, AbstractObserver]:
+        """The observers by their keys: amplitudes, those of the table, and further custom ones."""
+        table, time = self.experiment.observe, self.experiment.time
+        how = table.model_dump(exclude={"quantities", "others"}, exclude_none=True)
+        if "component" in how:
+            how["component"] = self.component(how["component"], names, "observe.component")
+        with _at("observe"):
+            made: dict[str, AbstractObserver] = {
+                "observe": observers.Amplitude(window=time.window, **how)
+            }
+        unnamed = dict(self.custom.observers)
+        for i, other in enumerate(table.others or []):
+            path = f"observe.others[{i}]"
+            fields = other.model_dump(exclude={"observer", "name"}, exclude_none=True)
+            if other.observer == "custom":
+                if other.name not in self.custom.observers:
+                    raise _LocatedError(
+                        f"{path}.name: is `{other.name}`, so this observer must be named on the "
+                        f"command line: --observer FILE.py:{other.name}"
+                    )
+                kind = unnamed.pop(other.name, self.custom.observers[other.name])
+            else:
+                kind = OBSERVERS[other.observer]
+                for key in fields.keys() & set(INDICES):
+                    fields[key] = self.index(fields[key], f"{path}.{key}")
+                if "component" in fields:
+                    where = f"{path}.component"
+                    fields["component"] = self.component(fields["component"], names, where)
+            made[path] = self.make(kind, fields, path)
+            if isinstance(own := made[path], FrontTrack):
+                part = (time.transient + time.window) / own.windows
+                if part < 4 * math.pi:
+                    raise _LocatedError(
+                        f"{path}.windows: would be parts of {part:.3g} time units, and "
+                        f"{4 * math.pi:.4g}, two periods, are the least: lower it, or lengthen "
+                        "the run"
+                    )
+        for name, kind in unnamed.items():
+            made[f"--observer {name}"] = self.make(kind, {}, f"--observer {name}")
+        return made
+
+    def methods(self, model: Any) -> dict[str, Method]:
+        """How smoothed and dry runs are integrated."""
+        numerics = self.experiment.numerics
+        names = ("rtol", "atol", "max_step", "max_steps")
+        how = {name: getattr(numerics, name) for name in names}
+        solver: Any = None
+        if numerics.solver in ("Rodas4", "Rodas5P"):
+            solver = getattr(solvers, numerics.solver)()
+            solver = fit_linear_solve(solver, model, numerics.rtol, numerics.max_step)
+        elif numerics.solver != "auto":
+            solver = getattr(dfx, numerics.solver)()
+        methods = {"smoothed": Method(solver, **how), "dry": Method(EventDriven(), **how)}
+        scale = model.smallest_scale(self.n)
+        if scale is not None:
+            scale = tuple(map(self.grid.get, ("width", "belt_speed"), scale))
+        for name in methods if numerics.model == "both" else (numerics.model,):
+            methods[name].checked(model, self.n, scale)
+        return methods
+
+    def check_start(self, model: Any, initial: Callable[..., State]) -> None:
+        """The start at the ends of each of its swept numbers."""
+        own = {k: v for k, v in self.grid.items() if not model.has_parameter(k)}
+        first = {name: values[0] for name, values in own.items()}
+        with _at("initial", [*own], amplitude="displacement"):
+            as_state(model, initial(model, **first))
+            for name, values in own.items():
+                broken = values[values != np.round(values)][:1] if name == "excited" else ()
+                for value in (values.min(), values.max(), *broken):
+                    initial(model, **{**first, name: value})
+
+    def check_size(self, model: Any, watch: Mapping[str, AbstractObserver], m: int) -> bool:
+        """Whether the results fit into memory; `ValueError` if they do not and must."""
+        experiment, lanes, fits = self.experiment, self.experiment.lanes(), True
+        state = tuple(jax.ShapeDtypeStruct((self.n,), float) for _ in range(m))
+        for path, observer in watch.items():
+            with _at(path):
+                kept = eqx.filter_eval_shape(_value_of, observer, model, self.end, state)
+                check_fit([observer], 0.0, self.end, None)
+            count = sum(leaf.size for leaf in jax.tree.leaves(kept))
+            fits = fits and lanes * count <= MOST_NUMBERS
+            if not fits and not experiment.stored():
+                raise _LocatedError(
+                    f"{path}: would keep {lanes * count:.3g} numbers of {lanes} runs of {self.n} "
+                    f"masses, and {MOST_NUMBERS:.0e} are the most: keep less of each run, {FEWER}"
+                    ", or keep them in a store (`numerics.store = true`)"
+                )
+        return fits and lanes <= MOST_LANES
+
+    def check_window(self, model: Any) -> None:
+        """A window of at least one period of the softest spring of a chain."""
+        softest = np.min(self.grid.get("stiffness", np.asarray(model.stiffness)))
+        period, window = 2 * math.pi / softest**0.5, self.experiment.time.window
+        if window < period:
+            must = f"must hold at least one period, {period:.4g}, but is {window:g}"
+            raise _LocatedError(f"time.window: {must}")
+
+    @property
+    def end(self) -> float:
+        """The length of a run."""
+        return self.experiment.time.transient + self.experiment.time.window
+
+    def build(self) -> Built:
+        """All parts, made and checked together."""
+        experiment = self.experiment
+        model = self.model()
+        names = self.variables(model)
+        chain = experiment.is_chain
+        initial = self.initial() if chain else self.initial_of_cells(model, names)
+        watch = self.observers(names)
+        with _at(f"{experiment.of}.friction", [*self.grid]):
+            axes = check_axes(model, initial, self.grid, most=MOST_STORED)
+        if chain:
+            self.check_window(model)
+        fits = self.check_size(model, watch, len(names))
+        self.check_start(model, initial)
+        zeros = (jnp.zeros(self.n),) * len(names)
+        model.dependence(zeros)  # raises for a `rate` that does not fit
+        observe, size = list(watch.values()), (len(names), self.n)
+        with _at("observe"):
+            check_observers(observe, model, size, 0.0, self.end, None, axes)
+        return Built(model, initial, observe, self.methods(model), names, fits)
 
 
-def build(
-    experiment: AnyExperiment,
-    custom_law: type[AbstractFrictionLaw] | None = None,
-    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
-    custom_models: Mapping[str, type[AbstractCells]] | None = None,
-) -> tuple[Chain | AbstractCells, Callable[..., State], list[AbstractObserver]]:
-    """The chain or cells of an experiment, the initial state as a function, and the observers."""
-    observed = experiment.observe, experiment.time.window, custom_observers
-    if isinstance(experiment, Experiment):
-        chain = build_chain(experiment, custom_law)
-        return chain, build_initial(experiment), build_observers(*observed)
-    cells = build_cells(experiment, custom_law, custom_models)
-    names = component_names(experiment, cells)
-    return cells, build_start(experiment, cells), build_observers(*observed, names)
+def _value_of(observer: AbstractObserver, model: Any, end: float, state: State) -> Any:
+    return observer.read(observer.init(model, 0.0, end, state))
 
 
-def build_solver(
-    name: str, model: AbstractModel, rtol: float, max_step: float
-) -> dfx.AbstractSolver | None:
-    """A solver by its name in a scene; None leaves the choice to `sweep`."""
-    if name == "auto":
-        return None
-    if name in ("Rodas4", "Rodas5P"):
-        return fit_linear_solve(getattr(solvers, name)(), model, rtol, max_step)
-    return getattr(dfx, name)()
+def build(loaded: LoadedScene, custom: Custom = Custom()) -> dict[str, Built]:
+    """Every experiment of a scene, ready to run.
 
-
-def checked_chains(
-    loaded: LoadedScene,
-    custom_law: type[AbstractFrictionLaw] | None = None,
-    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
-    custom_models: Mapping[str, type[AbstractCells]] | None = None,
-) -> dict[str, Chain | AbstractCells]:
-    """The chain or cells of every experiment of a scene.
-
-    **Raises:** `SceneError`, before anything runs, with all problems that appear only when chain,
-    start, observers and tolerances are combined.
+    **Raises:** `SceneError` with a problem of each experiment that cannot be run.
     """
-    chains, problems, experiments = {}, [], loaded.scene.experiment
-    used = {one.model.kind for one in experiments.values() if isinstance(one, CellsExperiment)}
-    for name in custom_models or {}:
+    built, problems, experiments = {}, [], loaded.scene.experiment
+    used = {getattr(one.cells, "kind", None) for one in experiments.values()}
+    for name in custom.models:
         if name in READY_MADE:
             problems.append(f"--model: {name} is a ready-made class: give yours another name")
         elif name not in used:
             problems.append(f'--model: no experiment has `model.kind` = "{name}"')
     for name, experiment in experiments.items():
         try:
-            built = build(experiment, custom_law, custom_observers, custom_models)
-            chains[name] = built[0]
-            _check(experiment, *built)
+            built[name] = _Builder(experiment, custom).build()
+        except _LocatedError as error:
+            problems.append(f"experiment.{name}.{error}")
         except ValueError as error:
             problems.append(f"experiment.{name}: {error}")
     if problems:
         raise SceneError(loaded.name, problems)
-    return chains
-
-
-def _check(
-    experiment: AnyExperiment, model: Any, initial: Any, observe: list[AbstractObserver]
-) -> None:
-    numerics, time = experiment.numerics, experiment.time
-    axes = check_axes(model, initial, experiment.grid())
-    m = len(model.variables) or len(as_state(model, initial(model)))
-    model.dependence((jnp.zeros(experiment.n),) * m)  # raises for a `rate` that does not fit
-    size = m, experiment.n
-    check_observers(observe, model, size, 0.0, time.transient + time.window, None, axes)
-    solver = None
-    if numerics.model != "dry":
-        solver = build_solver(numerics.solver, model, numerics.rtol, numerics.max_step)
-    scale = model.smallest_scale(experiment.n)
-    if numerics.model != "dry" and scale is not None:
-        swept: dict[str, Any] = {name: axis[name] for name, axis in axes.items()}
-        scale = swept.get("width", scale[0]), swept.get("belt_speed", scale[1])
-        check_resolved(experiment.n, scale, numerics.rtol, numerics.atol, solver)
+    return built
 
 
 def load_model(given: str, scene: str) -> type[AbstractCells]:
@@ -477,20 +582,3 @@ def _load(option: str, given: str, scene: str, base: type[_Made], module: str) -
     if not fits(getattr(code, name)):
         raise wrong(f"{name} is not a subclass of `{module}.{base.__name__}`")
     return getattr(code, name)
-
-
-def make(kind: type[_Made], numbers: Mapping[str, Any], where: str) -> _Made:
-    """A custom law, model or observer with the numbers at `where` of a scene.
-
-    **Raises:** `ValueError` for numbers that are not its fields, or are missing.
-    """
-    fields = inspect.signature(kind)
-    try:
-        fields.bind(**{key: value for key, value in numbers.items() if value is not None})
-        return kind(**numbers)
-    except TypeError as error:
-        names = ", ".join(fields.parameters) or "none"
-        unknown = next((name for name in numbers if name not in fields.parameters), "")
-        names += did_you_mean(unknown, fields.parameters)
-        message = f"{where}: {kind.__name__} cannot be made: {error}; its fields: {names}"
-        raise ValueError(message) from error

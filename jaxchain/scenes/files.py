@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from .._spelling import did_you_mean
+from ..plotting.groups import DRY
 
 # The most problems shown, and the most bytes of a scene file.
 MOST_SHOWN, MOST_BYTES = 50, 10 * 10**6
@@ -131,6 +132,15 @@ def read_scene(scene: str, overrides: Sequence[str] = ()) -> tuple[str, dict[str
     except ValueError as error:
         raise SceneError(scene, [str(error)]) from None
     return name, data
+
+
+def group_names(data: Mapping[str, Any]) -> list[str]:
+    """The datasets that a scene makes, from the content of its file."""
+    names = []
+    for name, experiment in data.get("experiment", {}).items():
+        both = experiment.get("numerics", {}).get("model") == "both"
+        names += [name, f"{name}{DRY}"] if both else [name]
+    return names
 
 
 def _parsed(text: str) -> dict[str, Any]:

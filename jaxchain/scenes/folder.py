@@ -27,8 +27,7 @@ from typing import TYPE_CHECKING, Any
 from .._final import final
 from .._outcomes import ADVICE
 from ..sweeps.store import status_of, stores_in
-from .files import SceneError
-from .scene import LoadedScene, load_scene
+from .files import SceneError, group_names, read_scene
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -219,15 +218,15 @@ def is_whole(data: xr.Dataset) -> bool:
     return "result" not in data or not (data["result"] == _INTERRUPTED).any()
 
 
-def missing(folder: Path, loaded: LoadedScene, done: Collection[str]) -> list[str]:
+def missing(folder: Path, name: str, groups: Collection[str], done: Collection[str]) -> list[str]:
     """The groups of a scene whose runs are not all done, with or without a store of their own."""
     whole = {
         store.name
         for store in stores_in(folder)
         if (status := status_of(store))["lanes"] == status["lanes_done"]
     }
-    names = [group.name for group in loaded.scene.groups() if group.name not in done]
-    return [name for name in names if f"{loaded.name}.{name}.zarr" not in whole]
+    names = [group for group in groups if group not in done]
+    return [group for group in names if f"{name}.{group}.zarr" not in whole]
 
 
 def status_of_run(folder: Path) -> dict[str, Any] | None:
@@ -237,10 +236,11 @@ def status_of_run(folder: Path) -> dict[str, Any] | None:
     `under_way` or was `cut_off`.
     """
     try:
-        loaded = load_scene(str(folder.absolute()))
-    except SceneError:
+        name, data = read_scene(str(folder.absolute()))
+        names = group_names(data)
+    except (SceneError, AttributeError):  # no scene, or a broken one
         return None
-    groups = [file.parent for file in sorted((folder / f"{loaded.name}.zarr").glob("*/.zgroup"))]
+    groups = [file.parent for file in sorted((folder / f"{name}.zarr").glob("*/.zgroup"))]
     marked, cut_off = (folder / MARKER).exists(), was_cut_off(folder)
     if not groups and not marked:
         return None
@@ -255,7 +255,7 @@ def status_of_run(folder: Path) -> dict[str, Any] | None:
     return {
         "folder": str(folder),
         "saved": done,
-        "missing": missing(folder, loaded, done),
+        "missing": missing(folder, name, names, done),
         "under_way": marked and not cut_off,
         "cut_off": cut_off,
     }

@@ -146,13 +146,14 @@ def write_page(
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    names = [group.name for group in loaded.scene.groups()] if loaded else []
     done = [key for key, data in datasets.items() if is_whole(data)]
     picture, toml = folder / f"{name}.png", folder / f"{name}.toml"
     text = environment.from_string(template).render(
         name=name,
         title=loaded.scene.title if loaded else name,
         description=loaded.scene.description if loaded else "",
-        missing=missing(folder, loaded, done) if loaded else [],
+        missing=missing(folder, name, names, done),
         cut_off=was_cut_off(folder),
         failures={
             key: lines

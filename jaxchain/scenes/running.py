@@ -13,8 +13,9 @@ import os
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -34,15 +35,13 @@ from ..model.sliding import has_uniform_damping
 from ..observers.base import AbstractObserver
 from ..plotting.groups import CYCLES
 from ..plotting.pages import figure
-from ..simulation.event_driven import EventDriven
 from ..sweeps.store import describe, stores_in
 from ..sweeps.sweeping import SweepInterrupted, sweep
-from .building import build, build_solver, checked_chains, component_names
-from .files import SceneError, as_value, escaped, to_toml
-from .folder import Results, missing, now, saved, unfinished, was_cut_off
+from .building import Built, Custom, build
+from .files import SceneError, as_value, escaped, read_scene, to_toml
+from .folder import Results, missing, now, unfinished, was_cut_off
 from .report import PAGE, summary, write_page
-from .scene import AnyExperiment, CellsExperiment, Experiment, Group, LoadedScene, Scene
-from .tables import CustomObserverTable, Table
+from .scene import Experiment, Group, LoadedScene, Scene
 
 # Descriptions of the numbers of a start, which a sweep does not have.
 _OF_THE_START = {
@@ -76,7 +75,11 @@ def run_scene(
     an interrupted run continues; results that do not fit into memory are only there.
     `report.html` summarises the folder, also after a failure or an interruption.
 
-    **Arguments:** `folder`, an existing empty one (see `claimed`); `custom_law`, a friction law
+    In a folder with results of the same scene it goes on: finished runs are kept, missing ones are
+    computed.
+
+    **Arguments:** `loaded`, from `load_scene`, to go on from `load_scene(folder)`; `folder`, an
+    existing one, empty (see `claimed`) or with such results; `custom_law`, a friction law
     for every experiment, with the numbers of the scene's law; `custom_observers`, by the names of
     their classes, for every experiment; `custom_models`, classes of cells by their names, for
     those whose `model.kind` names them; `plot`, whether to draw; `netcdf`, whether to also write
@@ -87,8 +90,9 @@ def run_scene(
     **Returns:** the datasets by experiment.
 
     **Raises:** `KeyboardInterrupt` on Ctrl-C, after writing the finished runs; `StorageError` if
-    something cannot be written; `FigureError` if only the figure fails; `StoreError` if a store
-    cannot be written (continue with `resume_scene`); `SceneError` for inconsistent numbers.
+    something cannot be written, or if another process fills the folder; `FigureError` if only
+    the figure fails; `StoreError` if a store cannot be written; `SceneError` for inconsistent
+    numbers, and for a folder with results of another scene or version of jaxchain.
 
     !!! example
 
@@ -105,166 +109,155 @@ def run_scene(
         >>> found["ladder"].active_count.values.tolist()
         [[0.0, 1.0]]
     """
-    if saved(folder / f"{loaded.name}.zarr"):
-        remedy = "`resume_scene` continues it, `claimed` finds another folder"
-        raise SceneError(loaded.name, [f"has results in {folder} already: {remedy}"])
-    results, about = Results(folder, loaded.name), origin_attributes(command)
-    chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
-    how = {"custom_law": custom_law, "custom_observers": custom_observers}
-    how |= {"custom_models": custom_models, "progress": progress}
-    scene = as_run(loaded.scene, custom_law is not None, custom_observers or ())
-    files = scene_files(loaded.name, scene, about, custom_files)
-    results.about |= about
+    custom = Custom(custom_law, custom_observers or {}, custom_models or {})
+    run = _Run(loaded, folder, build(loaded, custom), report, progress, client)
+    scene = as_run(loaded.scene, custom_law is not None, custom.observers)
+    cut_off = was_cut_off(folder)
+    if cut_off or stores_in(folder) or (folder / f"{loaded.name}.zarr").exists():
+        with unfinished(folder, loaded.name):
+            results = Results.reopen(folder, loaded.name)
+            results.about |= _resumed(results, scene, command)
+            if results.datasets:
+                report(f"saved already: {', '.join(results.datasets)}")
+            if not cut_off and not missing(folder, loaded.name, run.names, results.datasets):
+                report("nothing is missing")
+            return run.fill(results, scene, plot, netcdf)
+    results = Results(folder, loaded.name, origin_attributes(command))
+    files = scene_files(loaded.name, scene, results.about, custom_files)
     try:
         results.keep(files)
-        return _fill(loaded, results, chains, {**how, "client": client}, report, plot, netcdf)
+        return run.fill(results, scene, plot, netcdf)
     finally:
         if not results.store.exists() and not stores_in(folder):  # nothing was saved
             for name in files:
                 (folder / name).unlink(missing_ok=True)
 
 
-def resume_scene(
-    loaded: LoadedScene,
-    folder: Path,
-    *,
-    custom_law: type[AbstractFrictionLaw] | None = None,
-    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
-    custom_models: Mapping[str, type[AbstractCells]] | None = None,
-    plot: bool = True,
-    netcdf: bool = False,
-    progress: bool = False,
-    report: Callable[[str], object] = print,
-    command: str = "",
-    client: Any = None,
-) -> dict[str, xr.Dataset]:
-    """Continues an interrupted run in its folder.
+def _resumed(results: Results, scene: dict[str, Any], command: str) -> dict[str, str]:
+    """The origin of results that are continued: of their first run, and of this one.
 
-    **Arguments:** `loaded`, from `load_scene(folder)`; the others, and the result, are as for
-    `run_scene`.
-
-    **Raises:** as `run_scene`; `SceneError` if a store belongs to another version of jaxchain or
-    of the scene; `StorageError` if the folder is not writable, or if another process uses it.
-
-    !!! example
-
-        >>> import jax, tempfile
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from pathlib import Path
-        >>> from jaxchain.scenes import load_scene, resume_scene, run_scene
-        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
-        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small])
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     _ = run_scene(scene, Path(folder), plot=False, report=lambda text: None)
-        ...     _ = resume_scene(load_scene(folder), Path(folder), plot=False)  # what ran there
-        saved already: ladder
-        nothing is missing
+    **Raises:** `SceneError` if they are of another scene.
     """
-    chains = checked_chains(loaded, custom_law, custom_observers, custom_models)
-    how = {"custom_law": custom_law, "custom_observers": custom_observers}
-    how |= {"custom_models": custom_models, "progress": progress}
-    cut_off = was_cut_off(folder)
-    with unfinished(folder, loaded.name):
-        results, about = Results.reopen(folder, loaded.name), origin_attributes(command)
-        toml = (folder / f"{loaded.name}.toml").read_text(encoding="utf-8")
-        first = re.findall(r'^# (command|started) = (".*")$', toml, re.MULTILINE)
-        about |= {"resumed": about["started"], "resumed_by": about["command"]}
-        results.about |= about | {key: json.loads(text) for key, text in first}
-        if results.datasets:
-            report(f"saved already: {', '.join(results.datasets)}")
-        if not cut_off and not missing(folder, loaded, results.datasets):
-            report("nothing is missing")
-        return _fill(loaded, results, chains, {**how, "client": client}, report, plot, netcdf)
+    file = results.folder / f"{results.name}.toml"
+    if not file.exists() or read_scene(str(file))[1] != scene:
+        remedy = "`load_scene` of the folder has theirs, `claimed` finds another folder"
+        problem = f"has other numbers than the results in {results.folder}: {remedy}"
+        raise SceneError(results.name, [problem])
+    about = origin_attributes(command)
+    text = file.read_text(encoding="utf-8")
+    first = re.findall(r'^# (command|started) = (".*")$', text, re.MULTILINE)
+    about |= {"resumed": about["started"], "resumed_by": about["command"]}
+    return about | {key: json.loads(value) for key, value in first}
 
 
-def _fill(
-    loaded: LoadedScene,
-    results: Results,
-    chains: Mapping[str, Chain | AbstractCells],
-    how: Mapping[str, Any],
-    report: Callable[[str], object],
-    plot: bool,
-    netcdf: bool,
-) -> dict[str, xr.Dataset]:
-    """Runs and saves every group that is not saved yet, and draws the figure."""
-    whole = {"title": loaded.scene.title, "scene": loaded.name}
-    results.about |= {"description": loaded.scene.description, **whole}
-    before = list(results.datasets)
-    scene = as_run(loaded.scene, how["custom_law"] is not None, how["custom_observers"] or ())
-    try:
-        for group in loaded.scene.groups():
-            about = {
-                **whole,
-                "description": group.experiment.description,
-                "experiment": group.of,
-                "model": group.model,
-                "definition": json.dumps(scene["experiment"][group.of]),
-            }
-            if group.name not in results.datasets:
-                _run_group(group, chains[group.of], results, about, how, report)
-            beside = group.of + CYCLES
-            if group.model == "smoothed" and beside not in results.datasets:
-                branch = cycles(chains[group.of], group.experiment.grid())
-                if branch is not None:
-                    results.save(beside, branch.assign_attrs(about))
-                    report(summary(beside, branch))
-        if netcdf:
-            results.write_netcdf()
-        large = {name + CYCLES for name in results.stored}
-        shown = {name: data for name, data in results.datasets.items() if name not in large}
-        drawn = (results.folder / f"{loaded.name}.pdf").exists()  # the last file of a drawing
-        if plot and shown and (list(results.datasets) != before or not drawn):
-            results.draw(lambda: figure(shown))
-    finally:
-        _write_page(results, loaded)
-    return results.datasets | results.stored
+@dataclass(frozen=True)
+class _Run:
+    """The run of a scene."""
 
+    loaded: LoadedScene
+    folder: Path
+    built: Mapping[str, Built]
+    report: Callable[[str], object]
+    progress: bool
+    client: Any
 
-def _run_group(
-    group: Group,
-    chain: Chain | AbstractCells,
-    results: Results,
-    about: Mapping[str, str],
-    how: Mapping[str, Any],
-    report: Callable[[str], object],
-) -> None:
-    """Runs an experiment and saves it, or after an interruption its finished runs."""
-    experiment, interrupt, store = group.experiment, None, None
-    if experiment.stored() or how["client"] is not None:
-        store = results.folder / f"{results.name}.{group.name}.zarr"
-    try:
-        with _located(results.name, f"experiment.{group.of}: "):
-            data = run_experiment(
-                experiment, name=group.name, model=group.model, store=store, **how
-            )
-    except SweepInterrupted as stopped:
+    @property
+    def names(self) -> list[str]:
+        """The names of its datasets."""
+        return [group.name for group in self.loaded.scene.groups()]
+
+    def fill(
+        self, results: Results, scene: dict[str, Any], plot: bool, netcdf: bool
+    ) -> dict[str, xr.Dataset]:
+        """Runs and saves every group that is not saved yet, and draws the figure."""
+        loaded, report = self.loaded, self.report
+        whole = {"title": loaded.scene.title, "scene": loaded.name}
+        results.about |= {"description": loaded.scene.description, **whole}
+        before = list(results.datasets)
+        try:
+            for group in loaded.scene.groups():
+                about = {
+                    **whole,
+                    "description": group.experiment.description,
+                    "experiment": group.of,
+                    "model": group.model,
+                    "definition": json.dumps(scene["experiment"][group.of]),
+                }
+                if group.name not in results.datasets:
+                    self.run_group(group, results, about)
+                beside = group.of + CYCLES
+                if group.model == "smoothed" and beside not in results.datasets:
+                    branch = cycles(self.built[group.of].model, group.experiment.grid())
+                    if branch is not None:
+                        results.save(beside, branch.assign_attrs(about))
+                        report(summary(beside, branch))
+            if netcdf:
+                results.write_netcdf()
+            large = {name + CYCLES for name in results.stored}
+            shown = {name: data for name, data in results.datasets.items() if name not in large}
+            drawn = (results.folder / f"{loaded.name}.pdf").exists()  # the last file of a drawing
+            if plot and shown and (list(results.datasets) != before or not drawn):
+                results.draw(lambda: figure(shown))
+        finally:
+            _write_page(results, loaded)
+        return results.datasets | results.stored
+
+    def run_group(self, group: Group, results: Results, about: Mapping[str, str]) -> None:
+        """Runs an experiment and saves it, or after an interruption its finished runs."""
+        experiment, built = group.experiment, self.built[group.of]
+        interrupt, store = None, None
+        if experiment.stored() or self.client is not None:
+            store = results.folder / f"{results.name}.{group.name}.zarr"
+        try:
+            with _located(results.name, f"experiment.{group.of}: "), warnings.catch_warnings():
+                # The summary reports this in more detail.
+                warnings.filterwarnings("ignore", message=r"\d+ of \d+ runs ended with")
+                data = sweep(
+                    built.model,
+                    built.initial,
+                    experiment.time.transient + experiment.time.window,
+                    over=experiment.grid(),
+                    observe=built.observe,
+                    method=built.methods[group.model],
+                    lanes=experiment.numerics.lanes,
+                    client=self.client,
+                    store=store,
+                    progress=self.progress,
+                    description=group.name,
+                )
+        except SweepInterrupted as stopped:
+            if store is not None:
+                raise
+            data, interrupt = stopped.dataset, stopped
+        data = _described(data, experiment, built).assign_attrs(about)
+        hopf = hopf_speed(built.model, experiment.grid())
+        data = data if hopf is None else data.assign(hopf_belt_speed=hopf)
         if store is not None:
-            raise
-        data, interrupt = stopped.dataset, stopped
+            describe(store, about)
+            if not built.fits_memory:
+                results.stored[group.name] = data
+                self.report(summary(group.name, data, store))
+                return
+            data = _in_memory(data)
+        results.save(group.name, data)
+        self.report(summary(group.name, data))
+        if interrupt is not None:
+            raise interrupt
+
+
+def _described(data: xr.Dataset, experiment: Experiment, built: Built) -> xr.Dataset:
+    """The quantities that a scene asks for, with words for what is swept of its start."""
     unwanted = {"amplitude", "energy", "active_count"} - set(experiment.observe.quantities)
     starts = _OF_THE_START
-    if isinstance(experiment, CellsExperiment):
-        names = component_names(experiment, cast(AbstractCells, chain))
-        unwanted |= {f"{quantity}_{name}" for quantity in unwanted for name in names}
-        swept = set(experiment.sweep) - chain.parameters().keys()
+    if not experiment.is_chain:
+        unwanted |= {f"{quantity}_{name}" for quantity in unwanted for name in built.variables}
+        swept = set(experiment.sweep) - built.model.parameters().keys()
         starts = {name: (f"{name} at the start", "1") for name in swept}
-    data = data.drop_vars(unwanted & set(data.data_vars)).assign_attrs(about)
+    data = data.drop_vars(unwanted & set(data.data_vars))
     for name in starts.keys() & set(map(str, data.coords)):
         words, unit = starts[name]
         data[name].attrs |= {"long_name": words, "units": unit}
-    hopf = hopf_speed(chain, experiment.grid())
-    data = data if hopf is None else data.assign(hopf_belt_speed=hopf)
-    if store is not None:
-        describe(store, about)
-        if not experiment.fits_memory():
-            results.stored[group.name] = data
-            report(summary(group.name, data, store))
-            return
-        data = _in_memory(data)
-    results.save(group.name, data)
-    report(summary(group.name, data))
-    if interrupt is not None:
-        raise interrupt
+    return data
 
 
 def _in_memory(data: xr.Dataset) -> xr.Dataset:
@@ -303,64 +296,6 @@ def _located(scene: str, where: str) -> Iterator[None]:
             raise
         more = "" if "fewer" in str(error) else ": take fewer values, masses or chains at once"
         raise MemoryError(f"{where}out of memory ({str(error)[:1000]}){more}") from error
-
-
-def run_experiment(
-    experiment: AnyExperiment,
-    *,
-    name: str = "sweep",
-    model: str = "smoothed",
-    custom_law: type[AbstractFrictionLaw] | None = None,
-    custom_observers: Mapping[str, type[AbstractObserver]] | None = None,
-    custom_models: Mapping[str, type[AbstractCells]] | None = None,
-    progress: bool = False,
-    store: Path | None = None,
-    client: Any = None,
-) -> xr.Dataset:
-    """Runs one experiment with smoothed or dry friction.
-
-    Failed runs are marked in `result`, without a warning.
-
-    **Arguments:** `experiment`, one of a scene; `name`, of the progress bar; `model`, "smoothed"
-    or "dry"; `custom_law`, `custom_observers`, `custom_models`, `progress` as for `run_scene`;
-    `store`, `client`: as for `sweep`.
-
-    **Returns:** the dataset of `sweep`.
-
-    **Raises:** `SweepInterrupted` on Ctrl-C, with the finished runs.
-
-    !!! example
-
-        >>> import jax
-        >>> jax.config.update("jax_enable_x64", True)
-        >>> from jaxchain.scenes import load_scene, run_experiment
-        >>> small = "chain.n=3", "sweep.belt_speed=[1.5]", "sweep.excited=[0, 1]"  # seconds
-        >>> scene = load_scene("quickstart", [f"experiment.ladder.{key}" for key in small]).scene
-        >>> data = run_experiment(scene.experiment["ladder"])
-        >>> data.active_count.values.tolist(), data.sizes["oscillator"]
-        ([[0.0, 1.0]], 3)
-    """
-    numerics, time = experiment.numerics, experiment.time
-    chain, initial, observe = build(experiment, custom_law, custom_observers, custom_models)
-    solver: Any = EventDriven()
-    if model != "dry":
-        solver = build_solver(numerics.solver, chain, numerics.rtol, numerics.max_step)
-    with warnings.catch_warnings():
-        # The summary reports this in more detail.
-        warnings.filterwarnings("ignore", message=r"\d+ of \d+ runs ended with")
-        return sweep(
-            chain,
-            initial,
-            time.transient + time.window,
-            over=experiment.grid(),
-            observe=observe,
-            solver=solver,
-            **numerics.model_dump(exclude={"solver", "model", "store"}),
-            client=client,
-            store=store,
-            progress=progress,
-            description=name,
-        )
 
 
 def hopf_speed(
@@ -486,16 +421,14 @@ def as_run(
     data = scene.model_dump(mode="json", exclude_none=True)
     for name, experiment in scene.experiment.items():
         table = data["experiment"][name]
-        if custom_law and isinstance(experiment.friction, Table):
-            numbers = {key: experiment.given(key) for key in experiment.friction_numbers()}
-            given = {key: value for key, value in numbers.items() if value is not None}
-            of = "chain" if isinstance(experiment, Experiment) else "model"
-            table[of]["friction"] = {"law": "custom", **given}
-        others = experiment.observe.others or []
-        named = {other.name for other in others if isinstance(other, CustomObserverTable)}
-        more = [
-            {"observer": "custom", "name": kind} for kind in custom_observers if kind not in named
-        ]
-        if more:
-            table["observe"].setdefault("others", []).extend(more)
+        law = table[experiment.of].get("friction")
+        if custom_law and isinstance(law, dict):
+            numbers = {key: value for key, value in law.items() if key not in ("speed", "mu")}
+            numbers = numbers if law["law"] == "tabulated" else law
+            table[experiment.of]["friction"] = {**numbers, "law": "custom"}
+        others = table["observe"].get("others", [])
+        named = {other.get("name") for other in others}
+        others += [{"observer": "custom", "name": k} for k in custom_observers if k not in named]
+        if others:
+            table["observe"]["others"] = others
     return data

@@ -1,20 +1,36 @@
-"""The tables a scene file is made of, each a pydantic model.
+"""The tables a scene file is made of: pydantic models, generated from the classes of the library.
 
-This module does not need JAX, so that a wrong scene is refused in milliseconds.  Every number is
-dimensionless.  A swept number may be left out, so most are optional here; the experiment checks
-for missing ones (`jaxchain.scenes.scene`).
+A law, a model or an observer needs no entry here besides its name: the keys of its table are the
+fields of its class, with their types and defaults; their meanings are read off its docstring.
+What a constructor checks is not checked here; `building` gives its error the key.
 
-Bounds are far beyond all meaningful values: they keep squares and quotients finite, and counts
-small enough to compute and store.
+Every number is dimensionless.  A swept number may be left out, so those that a class requires are
+optional here.  Bounds are far beyond all meaningful values: they keep squares and quotients
+finite, and counts small enough to compute and store.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import inspect
 import math
-from collections.abc import Callable
+import operator
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeAlias,
+    TypeVar,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from pydantic import (
@@ -28,16 +44,43 @@ from pydantic import (
     model_validator,
 )
 
+from .. import observers
 from .._limits import LEAST_ATOL, LEAST_RTOL, MOST_LANES
-from ..model.measured import check_measured, read_curve
-from ..model.parameters import CHAIN, parameter
+from .._types import PerMass
+from ..model import friction, ready_made
+from ..model.cells import AbstractCells
+from ..model.friction import TanhFriction
+from ..model.measured import read_curve
+from ..model.parameters import CHAIN, PARAMETERS, parameter
+from ..observers.base import AbstractObserver
 
 # Bounds of nonzero numbers, in magnitude; time units of a run: some days of one core.
 LEAST, MOST, MOST_TIME = 1e-15, 1e15, 1e9
 # The most values of one list, and the most numbers kept by one experiment: 0.8 GB.
 MOST_VALUES, MOST_NUMBERS = 10**6, 10**8
-FEWER = "take fewer values, or share them out over several experiments or scene files"
 T = TypeVar("T", bound=BaseModel)
+FEWER = "take fewer values, or share them out over several experiments or scene files"
+
+# The classes that a scene may name without a file.
+LAWS = {
+    "exponential_decay": friction.ExponentialDecay,
+    "weakening_strengthening": friction.WeakeningStrengthening,
+    "gaussian_stribeck": friction.GaussianStribeck,
+    "coulomb": friction.Coulomb,
+}
+READY_MADE: dict[str, type[AbstractCells]] = {
+    name: kind
+    for name, kind in vars(ready_made).items()
+    if inspect.isclass(kind) and issubclass(kind, AbstractCells)
+    if kind.__module__ == ready_made.__name__ and not name.startswith("_")
+}
+# The amplitude is observed in any case.
+OBSERVERS: dict[str, type[AbstractObserver]] = {
+    name: kind
+    for name in dir(observers)
+    if inspect.isclass(kind := getattr(observers, name)) and issubclass(kind, AbstractObserver)
+    if not inspect.isabstract(kind) and kind is not observers.Amplitude
+}
 
 
 class Table(BaseModel):
@@ -64,15 +107,54 @@ def _printable(text: str) -> str:
     return text
 
 
-def _form(value: Any) -> str:
-    """The tag of a value that may be a number, a list or a table."""
-    if isinstance(value, dict | BaseModel):
-        return "table"
-    return "list" if isinstance(value, list) else "number"
+def distinct(values: Any) -> Any:
+    """The values; `ValueError` if a list holds one more than once."""
+    if isinstance(values, list) and len(set(values)) < len(values):
+        twice = next(one for i, one in enumerate(values) if one in values[:i])
+        raise ValueError(f"holds {twice!r} more than once")
+    return values
 
 
-def _one_of(forms: str) -> Discriminator:
-    return Discriminator(_form, "forms", f"Input should be {forms}")
+_FORMS = {list: "list", dict: "table", int: "whole", str: "text"}
+
+
+@dataclass(frozen=True, eq=False)
+class OneOf:
+    """One of these types by name, as `which` says, for `Annotated[Any, OneOf(...)]`."""
+
+    kinds: Mapping[str, Any]
+    which: Discriminator
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        # The tags are in angle brackets: no key of a file is, where pydantic mixes both.
+        members = (Annotated[kind, Tag(f"<{name}>")] for name, kind in self.kinds.items())
+        return handler.generate_schema(
+            Annotated[functools.reduce(operator.or_, members), self.which]
+        )
+
+
+def _either(said: str, **forms: Any) -> OneOf:
+    """One of several types, told apart by the form of the value."""
+
+    def form(value: Any) -> str | None:
+        kind = "table" if isinstance(value, BaseModel) else _FORMS.get(type(value), "number")
+        kind = "number" if kind in ("whole", "text") and kind not in forms else kind
+        return f"<{kind}>" if kind in forms else None
+
+    return OneOf(forms, Discriminator(form, "forms", f"Input should be {said}"))
+
+
+def _one_of(key: str, tables: Mapping[str, type[Table]], other: Any = None) -> OneOf:
+    """One of several tables by the value of their `key`; `other` for a value of its own."""
+
+    def tag(value: Any) -> str | None:
+        given = value.get(key) if isinstance(value, dict) else getattr(value, key, None)
+        table = tables.get(given, other) if isinstance(given, str) else None
+        return None if table is None else f"<{table.__name__}>"
+
+    kinds = {one.__name__: one for one in (*tables.values(), other) if one is not None}
+    options = ", ".join(f'"{name}"' for name in tables)
+    return OneOf(kinds, Discriminator(tag, "one_of", f"{key} {options}"))
 
 
 Number: TypeAlias = Annotated[float, Field(ge=-MOST, le=MOST), AfterValidator(_not_tiny)]
@@ -85,6 +167,9 @@ Mass: TypeAlias = Annotated[int, Field(ge=1, le=MOST_NUMBERS)]  # counted from 1
 Text: TypeAlias = Annotated[str, Field(max_length=10_000), AfterValidator(_printable)]
 # Of an experiment: names a group of the results.
 Name: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=64)]
+Masses: TypeAlias = Annotated[
+    list[Mass], Field(min_length=1, max_length=MOST_VALUES), AfterValidator(distinct)
+]
 
 
 class Range(Table):
@@ -150,124 +235,120 @@ def array(values: Range | list[Any]) -> np.ndarray:
     return values.array() if isinstance(values, Range) else np.array(values)
 
 
-def distinct(values: Any) -> Any:
-    """The values; `ValueError` if a list holds one more than once."""
-    if isinstance(values, list) and len(set(values)) < len(values):
-        twice = next(one for i, one in enumerate(values) if one in values[:i])
-        raise ValueError(f"holds {twice!r} more than once")
-    return values
-
-
-def _form_of_field(value: Any) -> str:
-    """The tag of the value of a field of a model, which may also be a text or a whole number."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return "whole"
-    return "text" if isinstance(value, str) else _form(value)
-
-
 Values: TypeAlias = Annotated[
-    Annotated[list[Number], Field(min_length=1, max_length=MOST_VALUES), Tag("list")]
-    | Annotated[Range, Tag("table")],
-    _one_of("a list or a range table"),
+    Any,
+    _either(
+        "a list or a range table",
+        list=Annotated[list[Number], Field(min_length=1, max_length=MOST_VALUES)],
+        table=Range,
+    ),
     AfterValidator(distinct),
 ]
-_One: TypeAlias = Annotated[Number, Tag("number")]
-_Several: TypeAlias = Annotated[
-    list[Number], Field(min_length=1, max_length=MOST_NUMBERS), Tag("list")
-]
-PerCell: TypeAlias = Annotated[_One | _Several, _one_of("a number or a list")]
-FieldValue: TypeAlias = Annotated[
-    _One
-    | _Several
-    | Annotated[int, Field(ge=-MOST, le=MOST), Tag("whole")]
-    | Annotated[Text, Tag("text")],
-    Discriminator(_form_of_field, "forms", "Input should be a number, a list or a text"),
-]
-# The name or the number, from 0, of one of the numbers of a cell.
+
+
+def _several(kind: Any) -> OneOf:
+    """One number, or one per mass, cell or spring."""
+    many = Annotated[list[kind], Field(min_length=1, max_length=MOST_NUMBERS)]
+    return _either("a number or a list", number=kind, list=many)
+
+
+PerCell: TypeAlias = Annotated[Any, _several(Number)]
 Component: TypeAlias = Annotated[
-    Annotated[int, Field(ge=0, le=100), Tag("whole")] | Annotated[Text, Tag("text")],
-    Discriminator(_form_of_field, "forms", "Input should be a name or a number from 0"),
-]
-Masses: TypeAlias = Annotated[
-    list[Mass], Field(min_length=1, max_length=MOST_VALUES), AfterValidator(distinct)
+    Any, _either("a name or a number from 0", whole=Annotated[int, Field(ge=0, le=100)], text=Text)
 ]
 
+# What scenes have otherwise than the classes; masses are counted from 1 here, and there from 0.
+INDICES = ("oscillator", "oscillators", "middle")
+_OWN: dict[str, tuple[Any, str]] = {
+    "component": (Component, "Which variable of a cell: its name, or its number from 0."),
+    "capacity": (Count, "How many are kept, the first ones."),
+    "start": (Number, "The time before which nothing is kept."),
+    "window": (PositiveTime, "The last time units of the run that count; absent: all."),
+    "windows": (Count, "Into how many equal parts the run is cut, of two periods each at least."),
+    "interval": (PositiveTime, "Time units between samples."),
+    "oscillator": (Mass, "Which mass, counted from 1."),
+    "oscillators": (Masses, "Masses, counted from 1; absent: all."),
+    "middle": (Mass, "An oscillator inside the block, counted from 1; absent: in the middle."),
+}
+_SIGNS: dict[str, Any] = {"any": Number, "nonnegative": NonNegative, "positive": Positive}
 
-def _numbers(*names: str, several: bool = False) -> Callable[[type[T]], type[T]]:
-    """Gives a table the keys of these parameters of a chain or law, after its own.
 
-    `several`: also one for each mass or spring.
-    """
-    kinds: dict[str, Any] = {"any": Number, "nonnegative": NonNegative, "positive": Positive}
+def _meanings(kind: type, names: list[str]) -> Iterator[tuple[str, str]]:
+    """The meaning of each field of a class, from the arguments in its docstring."""
+    text = (inspect.getdoc(kind) or "").partition("**Arguments")[2].partition("\n\n")[0]
+    pieces = re.split(rf"`({'|'.join(names)})`", " ".join(text.split()))
+    for name, said in zip(pieces[1::2], pieces[2::2], strict=True):
+        yield name, re.sub(r"( and|[\s,;:])+$", "", said.lstrip(" ,:=")).replace("None", "absent")
+
+
+def _keys(kind: type, fields: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
+    """The keys of a table from names with (type, default), as `create_model` takes them."""
+    meanings = dict(_meanings(kind, list(fields))) if fields else {}
     keys: dict[str, Any] = {}
-    for row in map(parameter, names):
-        kind: Any = kinds[row.sign]
-        if several and row.per != "chain":
-            many = Annotated[list[kind], Field(min_length=1, max_length=MOST_NUMBERS), Tag("list")]
-            kind = Annotated[Annotated[kind, Tag("number")] | many, _one_of("a number or a list")]
-        kind = kind | None if row.default is None else kind
-        keys[row.name] = Annotated[kind, Field(description=row.description)], row.default
-
-    def with_keys(table: type[T]) -> type[T]:
-        return create_model(table.__name__, __base__=table, __doc__=table.__doc__, **keys)
-
-    return with_keys
-
-
-_LAW = Field(description="Which friction law.")
-
-
-@_numbers("width", "mu_static", "mu_dynamic", "v_ref")
-class ExponentialDecayTable(Table):
-    """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref)."""
-
-    law: Annotated[Literal["exponential_decay"], _LAW]
-
-
-@_numbers("width", "mu_static", "mu_dynamic", "v_ref", "mu_viscous")
-class WeakeningStrengtheningTable(Table):
-    """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-s / v_ref) + mu_viscous s / v_ref."""
-
-    law: Annotated[Literal["weakening_strengthening"], _LAW]
+    for name, (hint, default) in fields.items():
+        parts = set(get_args(hint)) or {hint}
+        row = None if issubclass(kind, AbstractCells) else PARAMETERS.get(name)
+        meaning = row.description if row else meanings.get(name, "")
+        if name in _OWN:
+            given, meaning = _OWN[name]
+        elif hint is TanhFriction:
+            given = FrictionTable
+        elif get_origin(hint) is Literal:
+            given = hint
+        elif int in parts and float not in parts:
+            given = Count
+        else:
+            number = _SIGNS[row.sign if row else "any"]
+            given = Annotated[Any, _several(number)] if hint == PerMass else number
+        required = default is dataclasses.MISSING
+        # A number may be swept instead; a whole number, a mass or a text may not.
+        optional = default is None or (required and hint in (PerMass, TanhFriction))
+        value = None if optional else (... if required else default)
+        keys[name] = (Annotated[given | None if optional else given, Field(description=meaning)],
+                      value)  # fmt: skip
+    return keys
 
 
-@_numbers("width", "mu_static", "mu_dynamic", "v_ref", "mu_viscous")
-class GaussianStribeckTable(Table):
-    """mu(s) = mu_dynamic + (mu_static - mu_dynamic) exp(-(s / v_ref)^2) + mu_viscous s / v_ref."""
+def _generated(key: str, name: str, kind: type, **more: Any) -> type[Table]:
+    """The table of a class: `key = name` selects it, the others are its fields."""
+    hints = get_type_hints(kind)
+    fields = {
+        field.name: (hints[field.name], more.pop(field.name, field.default))
+        for field in dataclasses.fields(kind)
+    }
+    which: Any = Annotated[Literal[name], Field(description="Which one.")], ...
+    text = re.split(r"\n\n(?:\*\*|!!!)", inspect.getdoc(kind) or "")[0]
+    keys = {key: which, **more, **_keys(kind, fields)}
+    return create_model(f"{kind.__name__}Table", __base__=Table, __doc__=text, **keys)
 
-    law: Annotated[Literal["gaussian_stribeck"], _LAW]
 
-
-@_numbers("width", "mu_dynamic")
-class CoulombTable(Table):
-    """mu(s) = mu_dynamic."""
-
-    law: Annotated[Literal["coulomb"], _LAW]
-
-
+_Width: TypeAlias = Annotated[Positive | None, Field(description=parameter("width").description)]
 _Points: TypeAlias = Annotated[list[Number], Field(max_length=MOST_VALUES)]
 
 
-@_numbers("width")
 class TabulatedTable(Table):
     """mu(s) through measured points, constant beyond the last: a file, or two lists."""
 
-    law: Annotated[Literal["tabulated"], _LAW]
+    law: Literal["tabulated"]
+    """Which one."""
     file: str | None = None
     """CSV file of two columns, speed and friction coefficient, beside the scene file."""
     speed: _Points = Field(default_factory=list)
     """Speeds, rising from 0; instead of `file`."""
     mu: _Points = Field(default_factory=list)
     """Friction coefficient at each of them."""
+    width: _Width = None
 
     @model_validator(mode="before")
     @classmethod
     def _read(cls, table: Any, info: Any) -> Any:
         """Adds the numbers of the file, so that the results contain them."""
-        if not isinstance(table, dict) or not isinstance(table.get("file"), str):
+        if not isinstance(table, dict) or not isinstance(table.get("file", ""), str):
             return table
-        if "speed" in table or "mu" in table:
+        if ("file" in table) == ("speed" in table or "mu" in table):
             raise ValueError("must have either `file` or `speed` and `mu`")
+        if "file" not in table:
+            return table
         file = Path((info.context or {}).get("folder", ".")) / table["file"]
         try:
             speed, mu = read_curve(file)
@@ -275,80 +356,104 @@ class TabulatedTable(Table):
             raise ValueError(f"has a `file` that cannot be read, {file}: {error}") from None
         return {**table, "file": None, "speed": speed, "mu": mu}
 
-    @model_validator(mode="after")
-    def _check(self) -> TabulatedTable:
-        if not self.speed and not self.mu:
-            raise ValueError("must have either `file` or `speed` and `mu`")
-        check_measured(self.speed, self.mu)
-        return self
 
-
-@_numbers("width")
 class CustomLawTable(Table):
-    """A custom law, named on the command line: `--law FILE.py:CLASS`."""
+    """A custom law, named on the command line: `--law FILE.py:CLASS`.
 
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, Number] = Field(init=False)
-
-    law: Annotated[Literal["custom"], _LAW]
-
-    @model_validator(mode="after")
-    def _check(self) -> CustomLawTable:
-        if taken := sorted({*CHAIN, "n", "ends", "excited"} & set(self.model_extra or ())):
-            raise ValueError(f"cannot have the key `{taken[0]}`, a number of the chain: rename it")
-        return self
-
-
-FrictionTable: TypeAlias = Annotated[
-    ExponentialDecayTable
-    | WeakeningStrengtheningTable
-    | GaussianStribeckTable
-    | CoulombTable
-    | TabulatedTable
-    | CustomLawTable,
-    Field(discriminator="law"),
-]
-
-
-@_numbers(*CHAIN, several=True)
-class ChainTable(Table):
-    """A chain of masses on a belt: x'' + 2 xi x' + k x + coupling = p F(x' - v_d)."""
-
-    n: Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
-    """Number of masses."""
-    friction: FrictionTable
-    """Law of the friction, mu(s) at the speed s of a mass relative to the belt."""
-    ends: Literal["cyclic", "free"] = "cyclic"
-    """A ring ("cyclic"), or a row whose first and last mass have one neighbour ("free")."""
-
-
-class ModelTable(Table):
-    """Cells of another model: a class of `jaxchain.model`, or yours, named by `--model`.
-
-    The other keys are fields of the class: a number, or a list with one per cell; for static
-    fields also a text or a whole number.  A swept number may be left out.
+    The other keys are fields of its class.
     """
 
     model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, FieldValue] = Field(init=False)
+    __pydantic_extra__: dict[str, PerCell] = Field(init=False)
+
+    law: Literal["custom"]
+    """Which one."""
+    width: _Width = None
+
+
+LAW_TABLES = {
+    **{name: _generated("law", name, kind, width=(_Width, None)) for name, kind in LAWS.items()},
+    "tabulated": TabulatedTable,
+    "custom": CustomLawTable,
+}
+FrictionTable: TypeAlias = Annotated[Any, _one_of("law", LAW_TABLES)]
+_Ends: TypeAlias = Literal["cyclic", "free"]
+_Size: TypeAlias = Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
+
+
+def _of_a_chain(table: type[T]) -> type[T]:
+    """The table with a key for each parameter of a chain."""
+    rows = {k: (float if row.per == "chain" else PerMass, row.default) for k, row in CHAIN.items()}
+    keys = _keys(table, rows)
+    return create_model(table.__name__, __base__=table, __doc__=table.__doc__, **keys)
+
+
+@_of_a_chain
+class ChainTable(Table):
+    """A chain of masses on a belt: x'' + 2 xi x' + k x + coupling = p F(x' - v_d)."""
+
+    n: _Size
+    """Number of masses."""
+    friction: FrictionTable
+    """Law of the friction, mu(s) at the speed s of a mass relative to the belt."""
+    ends: _Ends = "cyclic"
+    """A ring ("cyclic"), or a row whose first and last mass have one neighbour ("free")."""
+
+
+class ChainModelTable(ChainTable):
+    """The same as the table `chain`."""
+
+    kind: Literal["Chain"]
+    """Which one."""
+
+
+_Numbers: TypeAlias = Annotated[list[Number], Field(min_length=1, max_length=MOST_NUMBERS)]
+_Whole: TypeAlias = Annotated[int, Field(ge=-MOST, le=MOST)]
+_FieldValue: TypeAlias = Annotated[
+    Any,
+    _either("a number, a list or a text", number=Number, list=_Numbers, whole=_Whole, text=Text),
+]
+_FrictionValue: TypeAlias = Annotated[
+    Any,
+    _either(
+        "a number, a list or a table with a `law`",
+        number=Number,
+        list=_Numbers,
+        table=FrictionTable,
+    ),
+]
+
+
+class CustomModelTable(Table):
+    """Cells of your own, a class named by `--model`; the other keys are its fields.
+
+    They are a number, or a list with one per cell; for static fields also a text or a whole
+    number.  A swept number may be left out.
+    """
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, _FieldValue] = Field(init=False)
 
     kind: Text
-    """The name of the class, such as "LuGre"."""
-    n: Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
+    """The name of the class."""
+    n: _Size
     """Number of cells."""
-    ends: Literal["cyclic", "free"] | None = None
+    ends: _Ends | None = None
     """A ring or a row, if the class has this field; absent: as the class has it."""
-    friction: (
-        Annotated[
-            _One | _Several | Annotated[FrictionTable, Tag("table")],
-            _one_of("a number, a list or a table with a `law`"),
-        ]
-        | None
-    ) = None
+    friction: _FrictionValue | None = None
     """Of a class with this field: a number or a list; or a table, for smoothed friction."""
 
 
-_KIND = Field(description="Which kind of start.")
+_CELLS: Any = Annotated[_Size, Field(description="Number of cells.")], ...
+ModelTable: TypeAlias = Annotated[
+    Any,
+    _one_of(
+        "kind",
+        {name: _generated("kind", name, kind, n=_CELLS) for name, kind in READY_MADE.items()}
+        | {"Chain": ChainModelTable},
+        CustomModelTable,
+    ),
+]
 
 
 class _BlockTable(Table):
@@ -361,13 +466,15 @@ class _BlockTable(Table):
 class Equation8Table(_BlockTable):
     """Alternating displacements of 2 around steady sliding, at rest: eq. (8) of the paper."""
 
-    kind: Annotated[Literal["equation_8"], _KIND]
+    kind: Literal["equation_8"]
+    """Which one."""
 
 
 class Equation10Table(_BlockTable):
     """Like eq. (8), with velocities of 0.56: eq. (10) of the paper."""
 
-    kind: Annotated[Literal["equation_10"], _KIND]
+    kind: Literal["equation_10"]
+    """Which one."""
     reading: Literal["as_printed", "as_equation_8"] = "as_equation_8"
     """Whether F(v_d) in eq. (10) is meant as printed, or as the F(-v_d) of eq. (8)."""
 
@@ -375,7 +482,8 @@ class Equation10Table(_BlockTable):
 class ExcitedTable(_BlockTable):
     """Steady sliding with some masses pulled away from it."""
 
-    kind: Annotated[Literal["excited"], _KIND]
+    kind: Literal["excited"]
+    """Which one."""
     oscillators: Masses | None = None
     """Which masses are excited, counted from 1; instead of `excited`."""
     pattern: Literal["alternating", "in-phase"] = "alternating"
@@ -386,8 +494,24 @@ class ExcitedTable(_BlockTable):
     """Velocity of every mass, in x0 omega_n."""
 
 
+StartTable: TypeAlias = Annotated[
+    Any,
+    _one_of(
+        "kind",
+        {"equation_8": Equation8Table, "equation_10": Equation10Table, "excited": ExcitedTable},
+    ),
+]
+
+
+def _form_of_start(value: Any) -> str:
+    words = value.values() if isinstance(value, dict) else ()
+    named = isinstance(value, BaseModel) or any(isinstance(one, str) for one in words)
+    return "<start>" if named else "<cells>"
+
+
+_CellNumbers: TypeAlias = Annotated[dict[str, PerCell], Field(max_length=100)]
 InitialTable: TypeAlias = Annotated[
-    Equation8Table | Equation10Table | ExcitedTable, Field(discriminator="kind")
+    Any, OneOf({"start": StartTable, "cells": _CellNumbers}, Discriminator(_form_of_start))
 ]
 
 
@@ -410,7 +534,8 @@ class NumericsTable(Table):
     """The computation of the runs: model of friction, solver, tolerances and storage."""
 
     model: Literal["smoothed", "dry", "both"] = "smoothed"
-    """Friction smoothed by its width, true dry friction, or one run of each."""
+    """Friction smoothed by its width, true dry friction, or one run of each; cells other than a
+    chain are integrated as they are, "smoothed"."""
     solver: Solver = "auto"
     """For smoothed friction: a structured Rosenbrock solver, a stock diffrax solver, or the choice
     left to jaxchain.  True dry friction is integrated event by event."""
@@ -429,90 +554,6 @@ class NumericsTable(Table):
     absent: if there are more than 4096."""
 
 
-class CellsNumericsTable(NumericsTable):
-    """Like `Numerics`; dry friction needs a chain."""
-
-    model: Literal["smoothed"] = "smoothed"
-    """Cells are integrated as they are; `dry` and `both` need a chain."""
-
-
-_OBSERVER = Field(description="Which observer.")
-
-
-class StickTimeTable(Table):
-    """The time for which each mass sticks."""
-
-    observer: Annotated[Literal["StickTime"], _OBSERVER]
-    window: PositiveTime | None = None
-    """The last time units of the run that count; absent: all."""
-
-
-class _CrossingsTable(Table):
-    capacity: Count = 64
-    """How many maxima of each mass are kept, the first ones."""
-    start: Number = 0.0
-    """The time before which nothing is kept."""
-
-
-class PeakTimesTable(_CrossingsTable):
-    """The times of the maxima of each displacement."""
-
-    observer: Annotated[Literal["PeakTimes"], _OBSERVER]
-
-
-class CellsPeakTimesTable(PeakTimesTable):
-    """The times of the maxima of one of the numbers of each cell."""
-
-    component: Component = 0
-    """Its name, or its number from 0."""
-
-
-class SectionTable(_CrossingsTable):
-    """The states in which the displacement or the velocity of one mass has a maximum."""
-
-    observer: Annotated[Literal["Section"], _OBSERVER]
-    oscillator: Mass
-    """Which mass, counted from 1."""
-    of: Literal["displacement", "velocity"] = "displacement"
-    """Whether its displacement has a maximum then, or its velocity in the belt's direction."""
-
-
-class SamplesTable(Table):
-    """States at start, start + interval, ..."""
-
-    observer: Annotated[Literal["Samples"], _OBSERVER]
-    interval: PositiveTime
-    """Time units between them."""
-    capacity: Count
-    """How many are kept, the first ones."""
-    oscillators: Masses | None = None
-    """Masses, counted from 1; absent: all."""
-    start: Time = 0.0
-    """Time of the first."""
-
-
-class FrontTrackTable(Table):
-    """The positions of the two fronts of a vibrating block."""
-
-    observer: Annotated[Literal["FrontTrack"], _OBSERVER]
-    windows: Count
-    """Into how many equal parts the run is cut, of two periods each at least."""
-    middle: Mass | None = None
-    """An oscillator inside the block; absent: that in the middle."""
-
-
-class WholeRunTable(Table):
-    """Energy balance, integral of the divergence, or how many masses ever stick at once."""
-
-    observer: Annotated[Literal["EnergyBalance", "Divergence", "MostSticking"], _OBSERVER]
-
-
-class DivergenceTable(Table):
-    """Integral of the divergence over the run."""
-
-    observer: Annotated[Literal["Divergence"], _OBSERVER]
-
-
 class CustomObserverTable(Table):
     """A custom observer, named on the command line: `--observer FILE.py:CLASS`.
 
@@ -522,87 +563,51 @@ class CustomObserverTable(Table):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Any] = Field(init=False)
 
-    observer: Annotated[Literal["custom"], _OBSERVER]
+    observer: Literal["custom"]
+    """Which one."""
     name: Text
     """The name of its class."""
 
 
-CellsObserverTable: TypeAlias = Annotated[
-    CellsPeakTimesTable | SectionTable | SamplesTable | DivergenceTable | CustomObserverTable,
-    Field(discriminator="observer"),
-]
+def _observed(name: str, kind: type[AbstractObserver]) -> type[Table]:
+    own: dict[str, Any] = {"start": 0.0, "component": None}
+    defaults = {field.name: field.default for field in dataclasses.fields(kind)}
+    if defaults.get("capacity") == 0:
+        own["capacity"] = dataclasses.MISSING
+    return _generated("observer", name, kind, **{k: v for k, v in own.items() if k in defaults})
+
+
 ObserverTable: TypeAlias = Annotated[
-    StickTimeTable
-    | PeakTimesTable
-    | SectionTable
-    | SamplesTable
-    | FrontTrackTable
-    | WholeRunTable
-    | CustomObserverTable,
-    Field(discriminator="observer"),
+    Any,
+    _one_of(
+        "observer",
+        {name: _observed(name, kind) for name, kind in OBSERVERS.items()}
+        | {"custom": CustomObserverTable},
+    ),
 ]
 
 
 class ObserveTable(Table):
     """The observed quantities of every run."""
 
+    component: Component | None = None
+    """Which variable of a cell the amplitude is of: its name, or its number from 0; absent: the
+    first."""
     quantities: Annotated[
         list[Literal["amplitude", "energy", "active_count"]],
         Field(min_length=1),
         AfterValidator(distinct),
     ] = Field(default_factory=lambda: ["amplitude", "energy", "active_count"])
-    """What is kept of the amplitudes A: each of them, the energy 1/2 sum A^2, and how many exceed
-    half the belt speed."""
+    """What is kept of the amplitudes A: each of them, the energy 1/2 sum A^2, and, of a chain, how
+    many exceed half the belt speed."""
     stop: Literal["never", "quiet", "steady"] = "never"
-    """When a run may end early: once every mass rests for good ("quiet"), or also once the
-    amplitudes of successive windows agree ("steady")."""
+    """When a run may end early: once every mass of a chain rests for good ("quiet"), or also once
+    the amplitudes of successive windows agree ("steady")."""
     tolerance: Positive = 1e-6
     """How well they must agree for "steady"."""
-    repeats: Count = 5
+    repeats: Annotated[int, Field(ge=1, le=10**6)] = 5
     """In how many windows in succession they must agree for "steady"."""
     quiet_below: Positive = 1e-6
     """Speed and acceleration below which a mass counts as at rest, for "quiet" and "steady"."""
     others: Annotated[list[ObserverTable], Field(min_length=1, max_length=50)] | None = None
     """What else is observed, such as `{ observer = "StickTime", window = 100.0 }`."""
-
-    @model_validator(mode="after")
-    def _check(self) -> ObserveTable:
-        kinds = [getattr(other, "name", other.observer) for other in self.others or []]
-        if twice := [kind for kind in kinds if kinds.count(kind) > 1]:
-            raise ValueError(f"must have no two `others` of one kind, but has two `{twice[0]}`")
-        return self
-
-
-class CellsObserveTable(ObserveTable):
-    """The observed quantities of every run of other cells than a chain."""
-
-    component: Component = 0
-    """Which of the numbers of a cell the amplitude is of: its name, or its number from 0."""
-    quantities: Annotated[
-        list[Literal["amplitude", "energy"]], Field(min_length=1), AfterValidator(distinct)
-    ] = Field(default_factory=lambda: ["amplitude", "energy"])
-    """What is kept of the amplitudes A: each of them, and 1/2 sum A^2."""
-    stop: Literal["never", "steady"] = "never"
-    """When a run may end early: once the amplitudes of successive windows agree ("steady")."""
-    others: Annotated[list[CellsObserverTable], Field(min_length=1, max_length=50)] | None = None
-    """What else is observed, such as `{ observer = "PeakTimes", component = 1 }`."""
-
-
-def kept_numbers(table: ObserverTable | CellsObserverTable, n: int) -> int:
-    """The number of stored numbers per run of n masses."""
-    match table:
-        case SectionTable():
-            return table.capacity * (2 * n + 1)
-        case PeakTimesTable():
-            return table.capacity * n
-        case SamplesTable():
-            return table.capacity * (2 * len(table.oscillators or range(n)) + 1)
-        case FrontTrackTable():
-            return 3 * table.windows
-    return n
-
-
-def tags(table: type[BaseModel]) -> tuple[str, ...]:
-    """The values of the key that selects one of several kinds of table; empty for others."""
-    keys = {"law", "kind", "observer"} & table.model_fields.keys()
-    return tuple(tag for key in keys for tag in get_args(table.model_fields[key].annotation))
