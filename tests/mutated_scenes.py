@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from jaxchain.model.parameters import PARAMETERS
+from jaxchain.scenes.building import build
 from jaxchain.scenes.files import SceneError, builtin_scenes, read_scene
 from jaxchain.scenes.scene import LoadedScene, load_scene
 
@@ -244,18 +245,17 @@ def _assignment(data: dict[str, Any], rng: random.Random) -> str:
 
 
 def built(loaded: LoadedScene) -> list[tuple[Any, Any]]:
-    """(chain, start) as a scene makes them before anything runs.
+    """(model, start) as a scene makes them before anything runs.
 
     **Raises:** `SceneError` for what must not be run.
     """
-    from jaxchain.scenes.building import build_initial, checked_chains
-
     pairs = []
-    for name, chain in checked_chains(loaded).items():
-        experiment: Any = loaded.scene.experiment[name]
-        start = {"excited", "displacement", "velocity"} & experiment.grid().keys()
-        first = {key: experiment.grid()[key][0] for key in start}
-        pairs.append((chain, build_initial(experiment)(chain, **first)))
+    for name, parts in build(loaded).items():
+        grid = loaded.scene.experiment[name].grid()
+        first = {
+            key: grid[key][0] for key in {"excited", "displacement", "velocity"} & grid.keys()
+        }
+        pairs.append((parts.model, parts.initial(parts.model, **first)))
     return pairs
 
 

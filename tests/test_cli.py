@@ -195,7 +195,8 @@ def test_the_settings_of_the_scene_reach_the_sweep(workplace, made_up_sweep):
     ]
     assert main(["run", "two.toml", "--no-plot", *(f"--set={a}" for a in arguments)]) == 0
     call = made_up_sweep[1]
-    assert (call["rtol"], call["atol"], call["max_steps"], call["t1"]) == (1e-8, None, 99, 20.0)
+    method = call["method"]
+    assert (method.rtol, method.atol, method.max_steps, call["t1"]) == (1e-8, None, 99, 20.0)
     (observer,) = call["observe"]
     assert (observer.stop, observer.window) == ("steady", 10.0)
     chain = call["chain"]

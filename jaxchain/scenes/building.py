@@ -184,11 +184,13 @@ class _Builder:
         del given["n"]
         kind = known[table.kind]
         arrays = {f.name for f in dataclasses.fields(kind) if not f.metadata.get("static")}
-        for name in (arrays & given.keys()) - {"friction"}:
-            if given[name] is not None:
-                with _at(path):
-                    given[name] = self.per_cell(to_float(given[name], name), f"{path}.{name}")
-        return self.make(kind, given, path)
+        numbers = {}
+        for name in arrays & (given.keys() | self.first.keys()):
+            value = self.first.get(name, given.get(name))
+            if value is not None and not isinstance(value, TanhFriction):
+                with _at(path, [*self.first]):
+                    numbers[name] = self.per_cell(to_float(value, name), f"{path}.{name}")
+        return self.make(kind, given, path, **numbers)
 
     def per_cell(self, value: Any, path: str) -> Any:
         """A number, or a list with one for each cell."""

@@ -15,8 +15,8 @@ from synthetic import stored
 import jaxchain
 from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
 from jaxchain.plotting.pages import figure
-from jaxchain.scenes import running
-from jaxchain.scenes.building import build_chain, build_observers
+from jaxchain.scenes import building, running
+from jaxchain.scenes.building import build
 from jaxchain.scenes.files import SceneError, builtin_scenes
 from jaxchain.scenes.folder import StorageError, listing, unfinished
 from jaxchain.scenes.running import (
@@ -24,12 +24,10 @@ from jaxchain.scenes.running import (
     cycles,
     hopf_speed,
     origin_attributes,
-    resume_scene,
-    run_experiment,
     run_scene,
     scene_files,
 )
-from jaxchain.scenes.scene import Experiment, LoadedScene, load_scene
+from jaxchain.scenes.scene import LoadedScene, load_scene
 
 SCENE = """
 title = "Three masses"
@@ -103,17 +101,6 @@ def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path, mo
     assert data["ladder"].attrs["model"] == "dry"
 
 
-@pytest.mark.long
-def test_the_width_has_no_part_in_true_dry_friction(tmp_path):
-    scene(tmp_path, "dry")
-    found = []
-    for width in (1e-2, 1e-6):
-        change = f"experiment.ladder.chain.friction.width={width}"
-        loaded = load_scene(str(tmp_path / "three.toml"), [change])
-        found.append(run_experiment(loaded.scene.experiment["ladder"], model="dry"))
-    assert np.array_equal(found[0]["amplitude"], found[1]["amplitude"])
-
-
 GRID = {"belt_speed": np.linspace(0.3, 1.9, 10), "displacement": np.array([0.5, 2.0])}
 
 
@@ -179,8 +166,9 @@ def test_a_branch_whose_side_ends_early_says_so(monkeypatch):
 
 
 def test_a_few_belt_speeds_have_no_branch(tmp_path):
-    experiment: Any = one_oscillator(tmp_path, 3).scene.experiment["ladder"]
-    assert cycles(build_chain(experiment), experiment.grid()) is None
+    loaded = one_oscillator(tmp_path, 3)
+    grid = loaded.scene.experiment["ladder"].grid()
+    assert cycles(build(loaded)["ladder"].model, grid) is None
 
 
 @pytest.mark.long
@@ -241,7 +229,7 @@ observe = { quantities = ["energy"], others = [
 @pytest.mark.long
 def test_a_scene_has_the_values_of_all_observers(tmp_path):
     loaded = scene(tmp_path, "dry", OTHERS)
-    assert len(build_observers(loaded.scene.experiment["ladder"].observe, 20.0)) == 9
+    assert len(build(loaded)["ladder"].observe) == 9
     data = run_scene(loaded, tmp_path, plot=False, report=str)
     found = data["ladder"].sel(excited=1, belt_speed=1.4)
     assert "amplitude" not in found
@@ -279,7 +267,8 @@ def test_a_law_and_observers_of_ones_own_are_named_in_the_file(tmp_path):
     custom = again(tmp_path / "own", loaded, custom_law=True, custom_observers=["Mine"]).scene
     experiment: Any = custom.experiment["ladder"]
     assert experiment.chain.friction.law == "custom"
-    assert experiment.friction_numbers() == ("mu_static", "mu_dynamic", "v_ref", "width")
+    numbers = {"mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5}
+    assert experiment.chain.friction.model_extra == numbers
     others = experiment.model_dump()["observe"]["others"]
     assert [other["name"] for other in others] == ["Mine"]
 
@@ -393,24 +382,25 @@ def test_a_run_that_is_cut_off_goes_on_in_its_folder(two, tmp_path, monkeypatch)
         run_scene(loaded, out, plot=False, report=lambda text: None, command="first")
     assert "Missing: few." in (out / "report.html").read_text(encoding="utf-8")
     with unfinished(out, "two"), pytest.raises(StorageError, match="another process fills it"):
-        resume_scene(load_scene(str(out)), out)
-    resume_scene(load_scene(str(out)), out, plot=False, report=reports.append, command="second")
+        run_scene(load_scene(str(out)), out)
+    run_scene(load_scene(str(out)), out, plot=False, report=reports.append, command="second")
     assert calls == ["many", "few", "few"]
     assert reports[0] == "saved already: many"
     assert same(stored(out / "two"), stored(folder / "two"))
     with xr.open_datatree(out / "two.zarr") as tree:
         assert (tree.attrs["command"], tree.attrs["resumed_by"]) == ("first", "second")
         assert tree.attrs["started"] <= tree.attrs["resumed"] <= tree.attrs["ended"]
-    resume_scene(load_scene(str(out)), out, plot=False, report=reports.append)
+    run_scene(load_scene(str(out)), out, plot=False, report=reports.append)
     assert reports[-1] == "nothing is missing"
     assert len(calls) == 3
-    with pytest.raises(SceneError, match=r"has results in .* already: `resume_scene` continues"):
-        run_scene(loaded, out)
+    other = load_scene(str(out), ["experiment.few.time.window=11"])
+    with pytest.raises(SceneError, match=r"has other numbers than the results in .*: `load_scene"):
+        run_scene(other, out)
 
 
 def test_results_too_large_for_memory_stay_in_their_store(two, tmp_path, monkeypatch):
     loaded, drawn, reports = two[0], [], []
-    monkeypatch.setattr(Experiment, "fits_memory", lambda self: self.lanes() < 10)
+    monkeypatch.setattr(building, "MOST_NUMBERS", 10)
     monkeypatch.setattr(running, "figure", lambda data: drawn.append(list(data)) or figure(data))
     data = run_scene(loaded, tmp_path, report=reports.append)
     assert "too large for a figure" in reports[0]
