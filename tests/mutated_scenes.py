@@ -283,7 +283,7 @@ def judge(mutant: Mutant, folder: Path) -> Verdict:
     except SceneError as error:
         seconds = time.process_time() - begun
         text = str(error)
-        return Verdict(None, seconds, text, _fault_of(text, error.problems, seconds))
+        return Verdict(None, seconds, text, fault_of(text, error.problems, seconds))
     except Exception as error:
         return Verdict(None, 0.0, "", f"{type(error).__name__}: {str(error)[:300]}")
     seconds = time.process_time() - begun
@@ -291,7 +291,7 @@ def judge(mutant: Mutant, folder: Path) -> Verdict:
     return Verdict(loaded, seconds, "", slow)
 
 
-def _fault_of(text: str, problems: list[str], seconds: float) -> str:
+def fault_of(text: str, problems: list[str], seconds: float) -> str:
     if seconds > MOST_SECONDS:
         return f"took {seconds:.1f} s"
     if len(text.encode("utf-8", "replace")) > MOST_CHARACTERS:

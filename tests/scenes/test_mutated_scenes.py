@@ -1,7 +1,7 @@
 """Thousands of broken scenes: each a clear error or a valid run."""
 
 import pytest
-from mutated_scenes import built, judge, means_nothing, mutants
+from mutated_scenes import built, fault_of, judge, means_nothing, mutants
 
 from jaxchain.scenes.files import SceneError
 from jaxchain.scenes.running import run_scene
@@ -35,12 +35,15 @@ def assert_meaning(accepted):
     for number, loaded in accepted:
         try:
             pairs = built(loaded)
-        except SceneError:
+        except SceneError as error:
+            wrong = fault_of(str(error), error.problems, 0.0)
+            faults += [(number, wrong)] if wrong else []
             continue
         made += bool(pairs)
         faults += [(number, wrong) for pair in pairs if (wrong := means_nothing(*pair))]
     assert not faults
-    assert made > 0.7 * len(accepted)
+    # What does not fit the model is refused only here.
+    assert made > 0.5 * len(accepted)
 
 
 def test_hundreds_of_mutants_are_refused_in_words_or_valid(tmp_path):
