@@ -609,7 +609,8 @@ def _number(a: Any) -> Any:
 @value_and_slope.defjvp
 def _(primals: Any, tangents: Any) -> tuple[Any, Any]:
     (coefficients, t), (changes, dt) = primals, tangents
-    curvature = value([k * (k - 1) * c for k, c in enumerate(coefficients)][2:], t)
+    bends = [k * (k - 1) * c for k, c in enumerate(coefficients)][2:]
+    curvature = value(bends, t) if bends else 0.0
     at_t = value_and_slope(coefficients, t)
     total, slope = value_and_slope(changes, t)
     return at_t, (total + at_t[1] * dt, slope + curvature * dt)
