@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from jaxchain import equation_8, equation_10, excited_state, paper_chain, steady_sliding
 from jaxchain.model.initial_states import excited_block
@@ -61,16 +60,3 @@ def test_the_count_may_be_traced():
     batch = jax.vmap(lambda k: equation_8(CHAIN, k)[0])(jnp.arange(21))
     single = np.stack([equation_8(CHAIN, k)[0] for k in range(21)])
     np.testing.assert_allclose(batch, single, atol=0)
-
-
-def test_bad_input_is_named():
-    with pytest.raises(ValueError, match=r"`excited` must lie in 0 ... 20, but is 21"):
-        equation_8(CHAIN, 21)
-    with pytest.raises(ValueError, match="`block` must be"):
-        equation_8(CHAIN, 2, block="left")
-    with pytest.raises(ValueError, match="`pattern` must be"):
-        excited_state(CHAIN, 2, pattern="odd")
-    with pytest.raises(ValueError, match="`reading` must be"):
-        equation_10(CHAIN, 2, reading="both")
-    with pytest.raises(ValueError, match=r"have shape \(20,\), but has shape \(3,\)"):
-        excited_state(CHAIN, jnp.ones(3, bool))

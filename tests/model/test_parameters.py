@@ -71,17 +71,16 @@ def test_signs_are_checked_with_a_remedy(row):
 
 
 @pytest.mark.parametrize("row", CHAIN.values(), ids=CHAIN)
-@pytest.mark.parametrize("ends", ["cyclic", "free"])
-def test_there_are_as_many_numbers_as_masses_or_springs(row, ends):
-    springs = N if ends == "cyclic" else N - 1
-    count = {"chain": None, "mass": N, "spring": springs}[row.per]
-    for length in (N - 1, N, N + 1):
-        changes = {"ends": ends, row.name: jnp.full(length, USUAL[row.name])}
-        if length == count:
-            assert chain_of(**changes).parameters()[row.name].shape == (length,)
-        else:
-            with pytest.raises(ValueError, match=rf"`{row.name}` must .* shape \({length},\)"):
-                chain_of(**changes)
+def test_there_are_as_many_numbers_as_masses_or_springs(row):
+    for ends, springs in (("cyclic", N), ("free", N - 1)):
+        count = {"chain": None, "mass": N, "spring": springs}[row.per]
+        for length in (N - 1, N, N + 1):
+            changes = {"ends": ends, row.name: jnp.full(length, USUAL[row.name])}
+            if length == count:
+                assert chain_of(**changes).parameters()[row.name].shape == (length,)
+            else:
+                with pytest.raises(ValueError, match=rf"`{row.name}` must .* shape \({length},\)"):
+                    chain_of(**changes)
 
 
 def test_every_number_is_a_key_of_scenes():
