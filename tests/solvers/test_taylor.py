@@ -35,16 +35,38 @@ def from_roots(*roots, scale=1.0, degree=6):
     return np.pad(coefficients, (0, degree + 1 - coefficients.size))
 
 
-def test_values_and_slopes():
-    rng = np.random.default_rng(0)
-    rows = rng.normal(size=(7, 5))
+def test_values_slopes_and_the_bound_of_the_curvature():
+    P = np.polynomial.polynomial
+    rows = np.random.default_rng(0).normal(size=(7, 5))
     q, slope = value_and_slope(list(jnp.asarray(rows)), 0.3)
-    np.testing.assert_allclose(q, np.polynomial.polynomial.polyval(0.3, rows), rtol=1e-14)
-    derivative = np.polynomial.polynomial.polyder(rows)
-    np.testing.assert_allclose(
-        slope, np.polynomial.polynomial.polyval(0.3, derivative), rtol=1e-13
-    )
+    np.testing.assert_allclose(q, P.polyval(0.3, rows), rtol=1e-14)
+    np.testing.assert_allclose(slope, P.polyval(0.3, P.polyder(rows)), rtol=1e-13)
     assert np.array_equal(value(list(jnp.asarray(rows)), 0.3), q)
+    both = lambda t: value_and_slope(list(jnp.asarray(rows)), t)  # noqa: E731
+    _, (rate, bend) = jax.jvp(both, (0.3,), (1.0,))
+    np.testing.assert_allclose(rate, slope, rtol=1e-13)
+    np.testing.assert_allclose(bend, P.polyval(0.3, P.polyder(rows, 2)), rtol=1e-13)
+    assert float(jax.hessian(lambda t: value([0.5, 2.0], t))(0.3)) == 0.0  # a line
+
+
+def test_exits_are_found_to_rounding():
+    for root in (1e-9, 1e-3, 0.1, 0.5, 0.99):  # transversal
+        t, out = _until_final(from_roots(root, 3.0, 5.0, scale=-1.0), 1.0)
+        assert out, root
+        assert abs(t - root) < 1e-13, root
+    for late in (0.0, 1e-14, 1e-9):  # at the very end, which counts, and just behind
+        for others in ((), (3.0, 5.0)):
+            t, out = _until_final(from_roots(1.0 + late, *others, scale=-1.0), 1.0)
+            assert t == pytest.approx(1.0, abs=1e-13)
+            assert bool(out) == (late < 1e-13), (late, others)
+    for gap in (1e-2, 1e-4, 1e-6):  # below zero between 0.4 and 0.4 + gap: two signs are the same
+        t, out = _until_final(from_roots(0.4, 0.4 + gap, degree=6), 1.0)
+        assert out, gap
+        assert abs(t - 0.4) < 1e-3 * gap + 1e-12, gap
+    for height in (1e-3, 1e-8, 1e-11):  # a near touch is no exit
+        coefficients = from_roots(0.4, 0.4, degree=6)
+        coefficients[0] += height
+        assert _until_final(coefficients, 1.0) == (1.0, False), height
 
 
 def test_curvature_is_a_bound():
@@ -53,39 +75,6 @@ def test_curvature_is_a_bound():
     second = np.polynomial.polynomial.polyder(rows, 2)
     values = np.abs(np.polynomial.polynomial.polyval(np.linspace(0, 0.7, 200), second))
     assert np.all(values.max(axis=1) <= bound * (1 + 1e-12))
-
-
-@pytest.mark.parametrize("root", [1e-9, 1e-3, 0.1, 0.5, 0.99])
-def test_a_transversal_exit_is_found_to_rounding(root):
-    t, out = _until_final(from_roots(root, 3.0, 5.0, scale=-1.0), 1.0)
-    assert out
-    assert abs(t - root) < 1e-13
-
-
-@pytest.mark.parametrize("late", [0.0, 1e-14, 1e-9])
-@pytest.mark.parametrize("others", [(), (3.0, 5.0)])
-def test_an_exit_at_the_very_end_counts_and_one_just_behind_does_not(others, late):
-    t, out = _until_final(from_roots(1.0 + late, *others, scale=-1.0), 1.0)
-    assert t == pytest.approx(1.0, abs=1e-13)
-    assert bool(out) == (late < 1e-13)
-
-
-@pytest.mark.parametrize("gap", [1e-2, 1e-4, 1e-6])
-def test_two_crossings_inside_one_step_are_not_missed(gap):
-    """w dips below zero between 0.4 and 0.4 + gap: the sign at the end of the step is the same."""
-    coefficients = from_roots(0.4, 0.4 + gap, degree=5)
-    t, out = _until_final(coefficients, 1.0)
-    assert out
-    assert abs(t - 0.4) < 1e-3 * gap + 1e-12
-
-
-@pytest.mark.parametrize("height", [1e-3, 1e-8, 1e-11])
-def test_a_near_touch_is_no_exit(height):
-    coefficients = from_roots(0.4, 0.4, degree=5)
-    coefficients[0] += height
-    t, out = _until_final(coefficients, 1.0)
-    assert not out
-    assert t == 1.0
 
 
 def test_either_edge_of_a_band():
@@ -125,30 +114,6 @@ def test_the_first_of_many_polynomials_against_their_roots():
     # Steps whose searches did not end cost as much as those to an event.
     finished = leaves | (t == 1.0)
     assert np.mean(finished) > 0.9
-
-
-@pytest.mark.parametrize("root", [1e-9, 0.3, 0.99])
-def test_those_that_leave_together_are_found_together(root):
-    """Fifty with the same root on different ways to it, among others that stay or leave later."""
-    rng = np.random.default_rng(4)
-    leaving = [from_roots(root, 2.0 + a, 5.0, scale=-b) for a, b in rng.uniform(1, 2, (50, 2))]
-    others = [from_roots(root + 0.2, 5.0, scale=1.0), from_roots(4.0, 5.0)]
-    start, rows, out = 0.0, np.array(leaving + others), np.zeros(52, bool)
-    for _ in range(8):
-        t, out = first_of(rows, end=1.0 - start)
-        start += float(t)
-        if np.any(out):
-            break
-        rows = np.array([_moved(row, float(t)) for row in rows])
-    assert abs(start - root) < 1e-13
-    assert np.array_equal(out, np.arange(52) < 50)
-
-
-def test_it_can_be_batched():
-    rows = jnp.asarray([from_roots(0.3, 2.0), from_roots(0.6, 2.0)])
-    t, out = jax.jit(jax.vmap(lambda row: first_of(row[None])))(rows)
-    np.testing.assert_allclose(t, [0.3, 0.6], rtol=1e-13)
-    assert np.all(out)
 
 
 def _first_root(row):
