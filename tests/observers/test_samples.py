@@ -8,21 +8,9 @@ import numpy as np
 import pytest
 from systems.oscillators import LinearRing
 
-from jaxchain import (
-    EventDriven,
-    PeakTimes,
-    Rodas5P,
-    Section,
-    equation_8,
-    paper_chain,
-    simulate,
-)
+from jaxchain import EventDriven, PeakTimes, Section, equation_8, paper_chain, simulate
 from jaxchain.observers.base import Step
 from jaxchain.observers.samples import Samples
-
-CHAIN = paper_chain(3)
-START = equation_8(CHAIN, 2)
-
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 FREE = LinearRing(
@@ -69,82 +57,35 @@ def test_samples_lie_on_the_dense_output_of_steps_of_any_length():
             assert np.isnan(rest[times.size :]).all()
 
 
-@pytest.mark.long
-def test_samples_are_the_states_at_regular_times():
-    watch = Samples(0.3, 30, oscillators=(1, 0), start=6.5)
-    run = simulate(FREE, (FREE.x0, FREE.v0), 12.0, observe=watch, solver=Rodas5P(), rtol=1e-9)
-    found, displacement, velocity = (np.asarray(a) for a in run.observed)
-    times = 6.5 + 0.3 * np.arange(19)
-    x, v = jax.vmap(FREE.exact)(jnp.asarray(times))
-    np.testing.assert_allclose(found[:19], times, rtol=1e-14)
-    np.testing.assert_allclose(displacement[:19], x[:, [1, 0]], atol=1e-6)
-    np.testing.assert_allclose(velocity[:19], v[:, [1, 0]], atol=1e-6)
-    # Not a sample more than the run has.
-    for rest in (found, displacement, velocity):
-        assert np.isnan(rest[19:]).all()
-
-
-@pytest.mark.long
-def test_samples_of_all_segments_are_those_of_the_whole():
-    options = {"solver": EventDriven(), "rtol": 1e-8}
-    whole = simulate(CHAIN, START, 12.0, observe=Samples(0.5, 30), **options).observed
-    parts = simulate(CHAIN, START, 12.0, observe=Samples(0.5, 9), segments=3, **options).observed
-    times = np.asarray(parts[0]).ravel()
-    known = np.isfinite(times)
-    # The end of a segment is the start of the next, too.
-    assert known.sum() == 25 + 2
-    _, once = np.unique(np.round(times[known], 9), return_index=True)
-    for part, complete in zip(parts, whole, strict=True):
-        joined = np.asarray(part).reshape(27, *part.shape[2:])[known][once]
-        np.testing.assert_allclose(joined, complete[:25], atol=1e-6)
-
-
-@pytest.mark.long
-def test_samples_go_through_vmap():
-    def one(count):
-        return simulate(
-            CHAIN, equation_8(CHAIN, count), 3.0, observe=Samples(0.5, 7), solver=EventDriven()
-        ).observed[1]
-
-    both = jax.vmap(one)(np.arange(1, 3))
-    np.testing.assert_allclose(both[1], one(2), atol=1e-6)
-
-
-@pytest.mark.parametrize("solver", [EventDriven(), None])
-def test_observers_start_with_a_run_that_starts_before_time_0(solver):
+@pytest.mark.parametrize(("solver", "start"), [(EventDriven(3), None), (None, 3.0)])
+def test_observers_start_with_a_run_that_starts_before_time_0(solver, start):
     """The same run at other times has the same values, by default and from a negative `start`."""
-    t0 = -12.3
+    t0, chain = -12.3, paper_chain(1, width=None if solver else 0.1)
 
     def run(t0: float, start: float | None) -> list:
         watch = [
             Samples(0.7, 20, start=start),
             PeakTimes(4, start=start),
             Section(0, 4, start=start),
-            Section(0, 4, start=start, of="velocity"),
         ]
-        chain = CHAIN if solver else CHAIN.with_(width=0.1)
-        return simulate(chain, START, t0 + 12.3, t0=t0, observe=watch, solver=solver).observed
+        begin = equation_8(chain, 1)
+        return simulate(
+            chain, begin, t0 + 12.3, t0=t0, observe=watch, solver=solver, rtol=1e-9
+        ).observed
 
-    for start in (None, 3.0):
-        early = run(t0, None if start is None else t0 + start)
-        for ours, theirs in zip(early, run(0.0, start), strict=True):
-            times, late = (np.asarray(part[0] if isinstance(part, tuple) else part)
-                           for part in (ours, theirs))  # fmt: skip
-            assert np.isfinite(late).any()
-            np.testing.assert_allclose(times - t0, late, atol=1e-9)
-            if isinstance(ours, tuple):
-                np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9)
+    early = run(t0, None if start is None else t0 + start)
+    for ours, theirs in zip(early, run(0.0, start), strict=True):
+        times, late = (np.asarray(part[0] if isinstance(part, tuple) else part)
+                       for part in (ours, theirs))  # fmt: skip
+        assert np.isfinite(late).any()
+        np.testing.assert_allclose(times - t0, late, atol=1e-9)
+        if isinstance(ours, tuple):
+            np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9)
 
 
-def test_bad_input_is_named():
-    with pytest.raises(ValueError, match="`interval` must be positive"):
-        Samples(0.0, 4)
-    for times in ([0.0, 0.5], np.linspace(0.0, 1.0, 5), jnp.linspace(0.0, 1.0, 5)):
-        with pytest.raises(ValueError, match=r"`interval` must be one number.*`Trajectory.times"):
-            Samples(times)
-    with pytest.raises(ValueError, match="`capacity` must be"):
-        Samples(0.1, 0)
-    with pytest.raises(ValueError, match="`start` must be"):
-        Samples(0.1, 4, start=np.nan)
+def test_what_does_not_fit_a_chain_is_named():
+    chain = paper_chain(3)
+    with pytest.raises(ValueError, match=r"`interval` must be one number.*`Trajectory.times"):
+        Samples(np.linspace(0.0, 1.0, 5))
     with pytest.raises(ValueError, match=r"`oscillators.0.` must be an integer in 0 ... 2"):
-        simulate(CHAIN, START, 1.0, observe=Samples(0.1, 4, oscillators=(3,)))
+        simulate(chain, equation_8(chain, 2), 1.0, observe=Samples(0.1, 4, oscillators=(3,)))
