@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from systems.oscillators import Cubic, DrivenInPlace, Rayleigh, Swinging, VanDerPol
+from systems.oscillators import DrivenInPlace, Rayleigh, Swinging, VanDerPol
 
 from jaxchain import (
     Amplitude,
-    Rodas4,
     Rodas5P,
     continue_cycle,
     find_limit_cycle,
@@ -22,13 +21,11 @@ from jaxchain import (
     simulate,
     sweep,
 )
-from jaxchain.cycles.floquet import liouville_defect, trace_integral
-from jaxchain.model.oscillators import AbstractOscillators
+from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model.springs import Springs
-from jaxchain.observers import EnergyBalance, Samples, StickTime
+from jaxchain.observers import Samples
 
 PERIOD, AMPLITUDE = 6.6632868593, 2.0086198609
-SPRINGS = Springs(jnp.asarray(0.1), "cyclic")
 ONE = VanDerPol(strength=jnp.asarray(1.0), springs=None)
 START = jnp.array([2.0]), jnp.zeros(1)
 
@@ -39,68 +36,37 @@ def ring(kind, n=20, coupling=0.1):
     return field, tuple(jnp.asarray(part) for part in rng.uniform(-1.5, 1.5, (2, n)))
 
 
-def by_scipy(kind, initial, t1, coupling=0.1):
+def by_scipy(initial, t1, coupling=0.1):
     """The same ring, written out in NumPy."""
 
     def rate(t, y):
         x, v = np.split(y, 2)
-        h = {
-            VanDerPol: (1 - x**2) * v, Cubic: -(x**3), Rayleigh: (1 - v**2 / 3) * v,
-            Swinging: -np.cos(2 * t) * x,
-        }[kind]  # fmt: skip
         springs = coupling * (np.roll(x, 1) + np.roll(x, -1) - 2 * x)
-        return np.concatenate([v, h - x + springs])
+        return np.concatenate([v, (1 - x**2) * v - x + springs])
 
     start = np.concatenate(initial)
     found = solve_ivp(rate, (0.0, t1), start, method="DOP853", rtol=1e-13, atol=1e-13)
     return found.y[:, -1]
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        VanDerPol,
-        *(pytest.param(k, marks=pytest.mark.long) for k in (Cubic, Rayleigh, Swinging)),
-    ],
-)
-@pytest.mark.parametrize(
-    ("solver", "rtol"),
-    [(Rodas5P(2), 1e-12), pytest.param(Rodas4(), 1e-11, marks=pytest.mark.long)],
-)
-def test_rings_of_twenty_agree_with_scipy_to_1e_9(kind, solver, rtol):
-    field, initial = ring(kind)
-    run = simulate(field, initial, 10.0, solver=solver, rtol=rtol)
-    expected = by_scipy(kind, initial, 10.0)
+def test_a_ring_and_a_sweep_agree_with_scipy():
+    field, initial = ring(VanDerPol)
+    run = simulate(field, initial, 10.0, solver=Rodas5P(2), rtol=1e-12)
+    expected = by_scipy(initial, 10.0)
     np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9, rtol=0)
+    over = {"strength": [0.5, 1.0]}
+    data = sweep(ONE, START, 3.0, over=over, observe=Samples(3.0, 2), rtol=1e-9)
+    assert data.strength.attrs == {"long_name": "strength", "units": "1"}
+    for mu in over["strength"]:
+        exact = solve_ivp(
+            lambda t, y, mu=mu: [y[1], mu * (1 - y[0] ** 2) * y[1] - y[0]],
+            (0.0, 3.0), [2.0, 0.0], rtol=1e-12, atol=1e-12,
+        ).y[0, -1]  # fmt: skip
+        found = data.sample_displacement.sel(strength=mu)[1, 0]
+        np.testing.assert_allclose(found, exact, atol=1e-7)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("solver", [Rodas4(), Rodas5P(), dfx.Tsit5()])
-def test_a_cubic_spring_is_no_linear_one(solver):
-    # x'' = -x^3 in all: -K x with K = 1 is given back by the local force.
-    class OnlyCubic(AbstractOscillators):
-        springs: None = None
-
-        def local_force(self, t, x, v):
-            return x - x**3
-
-        def stiffness_diagonal(self, n):
-            return jnp.ones(())
-
-    initial = jnp.array([1.0]), jnp.zeros(1)
-    end = simulate(OnlyCubic(), initial, 5.19, solver=solver, rtol=1e-11).state[0][0]
-    exact = solve_ivp(
-        lambda t, y: [y[1], -(y[0] ** 3)], (0.0, 5.19), [1.0, 0.0], rtol=1e-13, atol=1e-13
-    ).y[0, -1]
-    np.testing.assert_allclose(end, exact, atol=1e-9)
-    assert abs(exact - np.cos(5.19)) > 0.1
-
-
-@pytest.mark.parametrize(
-    ("solver", "order"), [pytest.param(Rodas4, 4, marks=pytest.mark.long), (Rodas5P, 5)]
-)
-@pytest.mark.parametrize("sweeps", [None, pytest.param(3, marks=pytest.mark.long)])
-def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, sweeps):
+def test_order_with_forces_that_depend_on_time_and_displacement():
     field = DrivenInPlace(
         rate=jnp.asarray(0.5), cubic=jnp.asarray(0.7), mixed=jnp.asarray(0.4),
         phase=jnp.linspace(0.0, 1.0, 5), springs=Springs(jnp.asarray(0.02), "cyclic"),
@@ -111,7 +77,7 @@ def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, s
     @jax.jit
     def errors(h):
         solution: Any = dfx.diffeqsolve(
-            terms, solver(sweeps), 0.0, 3.0, h, field.exact(0.0),
+            terms, Rodas5P(3), 0.0, 3.0, h, field.exact(0.0),
             saveat=dfx.SaveAt(ts=between, t1=True), max_steps=None, adjoint=dfx.ForwardMode(),
         )  # fmt: skip
         exact = jax.vmap(field.exact)(solution.ts)
@@ -121,23 +87,7 @@ def test_order_with_forces_that_depend_on_time_and_displacement(solver, order, s
     counts = np.array([20, 40, 80])
     found = np.array([errors(3.0 / n) for n in counts])
     slopes = -np.polyfit(np.log(counts), np.log(found), 1)[0]
-    np.testing.assert_allclose(slopes, order, atol=0.25)
-
-
-@pytest.mark.long
-def test_the_monodromy_matrix_has_the_determinant_of_liouville():
-    field, initial = ring(VanDerPol, n=3)
-    found = monodromy_matrix(field, initial, 3.0)
-    assert float(liouville_defect(found, trace_integral(field, initial, 3.0))) < 1e-8
-    h = 1e-6
-    for j in (1, 4):
-        step = np.zeros(6)
-        step[j] = h
-        ends = [
-            by_scipy(VanDerPol, np.split(np.concatenate(initial) + s * step, 2), 3.0)
-            for s in (1, -1)
-        ]
-        np.testing.assert_allclose(found[:, j], (ends[0] - ends[1]) / (2 * h), atol=1e-7)
+    np.testing.assert_allclose(slopes, 5, atol=0.25)
 
 
 @pytest.mark.long
@@ -150,20 +100,6 @@ def test_the_cycle_of_van_der_pol_is_the_known_one():
     # ln(multiplier) is the integral of the divergence 1 - x^2.
     trace = trace_integral(ONE, cycle.state, cycle.period)
     np.testing.assert_allclose(jnp.log(cycle.multipliers[0].real), trace, atol=1e-6)
-
-
-@pytest.mark.long
-def test_the_period_has_its_derivative():
-    cycle = find_limit_cycle(ONE, START)
-
-    def period(mu):
-        field = VanDerPol(strength=mu, springs=None)
-        return find_limit_cycle(field, cycle, mass=0).period
-
-    h = 1e-4
-    ends = [period(jnp.asarray(1.0 + s * h)) for s in (1, -1)]
-    slope = (ends[0] - ends[1]) / (2 * h)
-    np.testing.assert_allclose(jax.grad(period)(jnp.asarray(1.0)), slope, rtol=1e-7)
 
 
 @pytest.mark.long
@@ -183,16 +119,6 @@ def test_a_branch_follows_a_number_of_other_oscillators():
         continue_cycle(cycle)
 
 
-@pytest.mark.long
-def test_the_exponents_of_van_der_pol_are_0_and_that_of_the_multiplier():
-    found = lyapunov_spectrum(
-        ONE, START, 40 * PERIOD, transient=10 * PERIOD, interval=PERIOD / 4, rtol=1e-9, blocks=15
-    )
-    multiplier = float(trace_integral(ONE, find_limit_cycle(ONE, START).state, PERIOD))
-    np.testing.assert_allclose(found.exponents, [0.0, multiplier / PERIOD], atol=2e-4)
-    np.testing.assert_allclose(found.sum, found.mean_divergence, atol=1e-7)
-
-
 # What cannot be seen by the structure is refused.
 
 
@@ -202,13 +128,6 @@ def test_the_exponents_of_van_der_pol_are_0_and_that_of_the_multiplier():
 def test_a_method_that_would_be_ignored_cannot_be_defined(name):
     with pytest.raises(TypeError, match=f"Class `Own` defines `{name}`"):
         type("Own", (VanDerPol,), {name: lambda self, *arguments: arguments[-1]})
-
-
-def test_a_field_cannot_take_the_place_of_a_method():
-    with pytest.raises(TypeError, match="defines `restoring_force`"):
-
-        class Own(VanDerPol):
-            restoring_force: jax.Array  # pyright: ignore[reportIncompatibleMethodOverride]
 
 
 class Called(VanDerPol):
@@ -248,19 +167,6 @@ def test_a_force_between_masses_is_no_local_one():
             use()
 
 
-def test_a_sweep_takes_other_oscillators():
-    over = {"strength": [0.5, 1.0]}
-    data = sweep(ONE, START, 3.0, over=over, observe=Samples(3.0, 2), rtol=1e-9)
-    assert data.strength.attrs == {"long_name": "strength", "units": "1"}
-    for mu in over["strength"]:
-        exact = solve_ivp(
-            lambda t, y, mu=mu: [y[1], mu * (1 - y[0] ** 2) * y[1] - y[0]],
-            (0.0, 3.0), [2.0, 0.0], rtol=1e-12, atol=1e-12,
-        ).y[0, -1]  # fmt: skip
-        found = data.sample_displacement.sel(strength=mu)[1, 0]
-        np.testing.assert_allclose(found, exact, atol=1e-7)
-
-
 def test_forces_that_depend_on_time_have_no_cycle():
     field, initial = ring(Swinging, n=2)
     with pytest.raises(ValueError, match="forces depend on time"):
@@ -283,46 +189,12 @@ class Well(VanDerPol):
         return -0.1 * v + 2.0 * x - x**3
 
 
-class Late(VanDerPol):
-    """Nothing happens before t = 40."""
-
-    def local_force(self, t, x, v):
-        return -0.1 * v + jnp.where(t > 40.0, jnp.sin(t), 0.0)
-
-
-@pytest.mark.parametrize("kind", [Well, pytest.param(Late, marks=pytest.mark.long)])
-def test_a_rest_that_does_not_last_is_not_quiet(kind):
-    field = kind(strength=jnp.asarray(1.0), springs=None)
-    start = jnp.array([1e-12]), jnp.zeros(1)
-    run = simulate(field, start, 100.0, observe=Amplitude(window=10.0, stop="quiet"))
+def test_a_rest_that_does_not_last_is_not_quiet_and_one_in_a_well_is():
+    """At rtol 1e-6 a disturbance of 1e-12 is below every tolerance; it must not be damped away."""
+    field, watch = Well(jnp.asarray(1.0), None), Amplitude(window=10.0, stop="quiet")
+    run = simulate(field, (jnp.array([1e-12]), jnp.zeros(1)), 100.0, observe=watch)
     assert run.outcome == "successful"
     assert float(run.t) == 100.0
     assert float(run.observed[0]) > 1e-2
-
-
-def test_a_rest_in_a_well_is_quiet():
-    field = Well(strength=jnp.asarray(1.0), springs=None)
-    start = jnp.array([1.1]), jnp.zeros(1)
-    run = simulate(field, start, 2000.0, observe=Amplitude(window=10.0, stop="quiet"))
+    run = simulate(field, (jnp.array([1.1]), jnp.zeros(1)), 2000.0, observe=watch)
     assert run.outcome == "quiet"
-
-
-def test_a_disturbance_of_rest_grows_and_is_not_damped_away():
-    # At rtol 1e-6 a disturbance of 1e-9 is below every tolerance, and steps are as long as may be.
-    field = VanDerPol(strength=jnp.asarray(100.0), springs=None)
-    start = jnp.array([1e-9]), jnp.zeros(1)
-    run = simulate(field, start, 40.0, observe=Amplitude())
-    assert float(run.observed[0]) > 0.5  # it grows by e^100 in a time unit
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"accuracy": 1e-2}, "`accuracy` picks the width.* VanDerPol has none: leave it"),
-        ({"observe": EnergyBalance()}, "`EnergyBalance` needs dampers and a belt, a `Chain`"),
-        ({"observe": StickTime()}, "`StickTime` needs masses that can stick"),
-    ],
-)
-def test_functions_that_need_a_belt_raise_an_error(settings, message):
-    with pytest.raises(ValueError, match=message):
-        simulate(ONE, START, 1.0, **settings)

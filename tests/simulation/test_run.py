@@ -2,7 +2,6 @@
 
 from functools import partial
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -43,12 +42,14 @@ def test_coulomb_friction_far_above_the_vibration_is_a_damped_oscillator():
 
 def test_energy_balance_of_the_belt():
     # Work of friction = dissipation + change of stored energy, by quadrature along the run.
-    times = jnp.linspace(0.0, 20.0, 40001)
-    x, v = simulate(CHAIN, START, 20.0, observe=Trajectory(times), rtol=1e-9).observed
-    force = CHAIN.friction.force(v - CHAIN.belt_speed)
-    stretch = x - jnp.roll(x, 1, axis=1)
+    times = np.linspace(0.0, 20.0, 40001)
+    path = simulate(CHAIN, START, 20.0, observe=Trajectory(times), rtol=1e-9).observed
+    x, v = (np.asarray(part) for part in path)
+    w = v - 1.4
+    force = -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)) * np.tanh(w / 1e-3)
+    stretch = x - np.roll(x, 1, axis=1)
     stored = 0.5 * (v**2 + x**2 + 0.01 * stretch**2).sum(axis=1)
-    work = jnp.trapezoid((force * v - 0.1 * v**2).sum(axis=1), times)
+    work = np.trapezoid((force * v - 0.1 * v**2).sum(axis=1), times)
     np.testing.assert_allclose(stored[-1] - stored[0], work, atol=2e-4)
 
 
@@ -58,34 +59,6 @@ def test_segments_continue_the_run_and_report_each_part():
     assert parts.observed.shape == (3, 4)
     np.testing.assert_allclose(np.stack(parts.state), np.stack(whole.state), atol=2e-5)
     assert np.all(np.asarray(parts.observed).max(axis=0) <= np.asarray(whole.observed) + 1e-5)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("adjoint", [None, dfx.RecursiveCheckpointAdjoint()])
-def test_forward_and_reverse_derivatives_of_a_run_agree(adjoint):
-    def end(chain, adjoint=None):
-        most = None if adjoint is None else 4096
-        return simulate(chain, START, 4.0, adjoint=adjoint, max_steps=most, rtol=1e-9).state[0][1]
-
-    chain = paper_chain(4, belt_speed=1.4, width=0.05)
-    speed = jnp.asarray(1.4)
-    tangent = jax.jvp(lambda v: end(chain.with_(belt_speed=v)), (speed,), (jnp.ones(()),))[1]
-    gradient = eqx.filter_grad(lambda c: end(c, adjoint))(chain)
-    np.testing.assert_allclose(gradient.belt_speed, tangent, rtol=1e-8)
-    assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(gradient))
-
-
-@pytest.mark.long
-def test_the_amplitude_is_differentiable():
-    def amplitude(speed):
-        chain = paper_chain(1, belt_speed=speed, width=0.05)
-        run = simulate(chain, equation_8(chain, 1), 100.0, observe=Amplitude(20.0), rtol=1e-9)
-        return run.observed[0]
-
-    h = 1e-4
-    by_differences = (amplitude(1.3 + h) - amplitude(1.3 - h)) / (2 * h)
-    tangent = jax.jvp(amplitude, (1.3,), (1.0,))[1]
-    np.testing.assert_allclose(tangent, by_differences, rtol=1e-3)
 
 
 def test_one_compilation_serves_every_number(compiled):
@@ -126,28 +99,6 @@ def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
     assert entry.count(f"f64[{n}]") == 2 + 3  # state in; state and amplitude out
 
 
-@pytest.mark.long
-def test_numbers_per_mass_are_an_input_of_their_own():
-    n = 23
-    per_mass = paper_chain(n).with_(damping_ratio=jnp.full(n, 0.05))
-    mistuned = compiled_text(per_mass, observe=Amplitude(window=10.0))
-    entry = mistuned[mistuned.index("ENTRY") :].splitlines()[0]
-    assert entry.count(f"f64[{n}]") == 3 + 3
-
-
-@pytest.mark.long
-def test_sweeps_do_not_lengthen_a_run():
-    chain = paper_chain(20, belt_speed=1.3)
-    for rtol in (1e-5, 1e-6, 1e-7):
-        chosen = choose_solver(chain, rtol)
-        runs = [
-            simulate(chain, equation_8(chain, 9), 30.0, solver=s, rtol=rtol)
-            for s in (chosen, chosen.with_sweeps(None))
-        ]
-        swept, exact = (int(run.steps + run.rejected) for run in runs)
-        assert swept <= 1.1 * exact
-
-
 def test_the_linear_solve_is_chosen_by_the_strength_of_the_coupling():
     assert choose_solver(paper_chain(1), 1e-6).sweeps is None  # nothing to solve
     assert choose_solver(paper_chain(20), 1e-6).sweeps == 1
@@ -175,17 +126,7 @@ def test_an_empty_time_span_returns_the_initial_state():
     ("change", "message"),
     [
         ({"t1": -1.0}, "`t1` = -1.0 lies before `t0` = 0.0"),
-        ({"t1": float("inf")}, "`t1` must be finite"),
-        ({"rtol": 0.0}, "`rtol` must be positive"),
-        ({"atol": -1.0}, "`atol` must be positive"),
-        ({"max_step": 0.0}, "`max_step` must be positive"),
-        ({"max_steps": 0}, "`max_steps` must be None or an integer of at least 1"),
-        ({"segments": 0}, "`segments` must be None or an integer"),
-        ({"initial": jnp.ones(4)}, "must be the pair"),
-        ({"initial": (jnp.ones(4), jnp.ones(3))}, r"shapes \(4,\) and \(3,\)"),
-        ({"initial": (jnp.ones(4), jnp.full(4, jnp.nan))}, "`initial velocity` must be finite"),
         ({"initial": (jnp.ones(3), jnp.ones(3))}, "for 4 masses"),
-        ({"observe": "amplitude"}, "must hold observers"),
         ({"observe": Trajectory(jnp.array([1.0, 99.0]))}, r"lie within \[0.0, 1.0\]"),
         ({"observe": Trajectory(jnp.ones(2)), "segments": 2}, "Leave out `segments`"),
     ],
@@ -205,46 +146,26 @@ def test_without_64_bits_there_is_a_clear_error():
         jax.config.update("jax_enable_x64", True)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("solver", [None, EventDriven()], ids=["smoothed", "dry"])
-def test_a_traced_end_that_is_no_time_after_the_start_is_a_failure(solver):
-    chain = paper_chain(1)
-
-    @jax.jit
-    @jax.vmap
-    def end(t0, t1):
-        run = simulate(
-            chain, equation_8(chain, 1), t1, t0=t0, solver=solver, throw=False,
-            observe=Amplitude(),
-        )  # fmt: skip
-        return code(run.result), run.t, run.steps
-
-    t0 = jnp.array([0.0, 0.0, 2.0, 0.0, jnp.nan, 1.0, 1.0])
-    t1 = jnp.array([jnp.nan, -1.0, 1.0, jnp.inf, 1.0, 1.0, 3.0])
-    results, times, steps = end(t0, t1)
-    names = [NAMES[i] for i in results.tolist()]
-    assert names == [*5 * ["bad_span"], "successful", "successful"]
-    assert steps[:6].tolist() == 6 * [0]
-    np.testing.assert_array_equal(times, [*t0[:6].tolist(), 3.0])
-    assert "finite, increasing times" in message("bad_span")
-
-
-@pytest.mark.parametrize("solver", [None, pytest.param(EventDriven(), marks=pytest.mark.long)])
-def test_a_window_longer_than_the_run_is_no_success(solver):
+def test_a_traced_span_that_is_bad_or_shorter_than_a_window_is_no_success():
     chain = paper_chain(1)
     whole = partial(
-        simulate, chain, equation_8(chain, 1), solver=solver,
+        simulate, chain, equation_8(chain, 1),
         observe=[Amplitude(window=5.0), PeakTimes(start=1.0)],
     )  # fmt: skip
-    ends = jnp.array([0.5, 3.0, 5.0, 7.0])
-    run = jax.jit(jax.vmap(partial(whole, throw=False)))(ends)
+    t0 = jnp.array([0.0, 0.0, 100.3, 0.0, 0.0, 0.0, 0.0, 0.0])
+    t1 = jnp.array([5.0, 7.0, 100.3 + 5.0, 0.5, 3.0, -1.0, jnp.nan, jnp.inf])
+    run = jax.jit(jax.vmap(lambda t0, t1: whole(t1, t0=t0, throw=False)))(t0, t1)
     names = [NAMES[i] for i in code(run.result)]
-    assert names == ["bad_span", "bad_span", "successful", "successful"]
-    assert np.isnan(run.observed[0][:, 0]).tolist() == [True, True, False, False]
+    assert names == [
+        *3 * ["successful"],
+        *5 * ["bad_span"],
+    ]  # the third is 4.9999999999999999 long
+    assert np.isnan(run.observed[0][:, 0]).tolist() == [*3 * [False], *5 * [True]]
+    assert run.steps[5:].tolist() == 3 * [0]
+    assert "finite, increasing times" in message("bad_span")
     with pytest.raises(ValueError, match=r"window=5.0\)`, which .* 3 segments .* to 14:"):
         whole(14.0, segments=3)
     assert whole(15.0, segments=3).outcome == "successful"  # 10.000000000000002 to 15
-    assert whole(100.3 + 5.0, t0=100.3).outcome == "successful"  # 4.9999999999999999 long
 
 
 def test_what_is_observed_of_a_run_that_fails_is_not_handed_out_where_it_is_compiled():
