@@ -6,18 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from scipy.integrate import solve_ivp
-from scipy.optimize import root_scalar
 
 from jaxchain import Chain, TanhFriction, paper_chain, steady_sliding
 from jaxchain.boundaries import find_hopf_point
 from jaxchain.boundaries.equilibria import Rates, lyapunov_coefficient
-from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.model.friction import AbstractFrictionLaw
-
-# Second looks, or minutes of compilation: not in every run of the tests.
-pytestmark = pytest.mark.long
 
 SPEED, REACH, POINTS = 1.0, 0.4, 15
 
@@ -50,39 +44,23 @@ def coefficient(chain, frequency):
     return lyapunov_coefficient(Rates.of(chain, 2), rest, jnp.asarray(frequency))
 
 
-@pytest.mark.parametrize(("a2", "a3"), [(0.0, 0.3), (0.7, -0.3), (-2.0, 0.1), (1.5, 0.0)])
-def test_one_mass_has_the_closed_form(a2, a3):
+def test_one_mass_has_the_closed_form():
+    """And its sign has its name."""
     # Averaging x'' + k x = a2 v^2 + a3 v^3 over x = A cos(omega t): A' = (3/8) a3 omega^2 A^3, and
     # a2 drops out.  With A = 2 |w| / sqrt(1 + omega^2) that is |w|' = omega l1 |w|^3.
-    for stiffness in (0.5, 1.0, 3.0):
-        omega = np.sqrt(stiffness)
-        exact = 1.5 * a3 * omega / (1.0 + stiffness)
-        found = coefficient(polynomial_oscillator(a2, a3, stiffness), omega)
-        assert float(found) == pytest.approx(exact, rel=1e-13, abs=1e-14)
+    for a2, a3, k in ((0.0, 0.3, 0.5), (0.7, -0.3, 1.0), (-2.0, 0.1, 3.0), (1.5, 0.0, 3.0)):
+        exact = 1.5 * a3 * np.sqrt(k) / (1.0 + k)
+        found = coefficient(polynomial_oscillator(a2, a3, k), np.sqrt(k))
+        assert float(found) == pytest.approx(exact, rel=1e-13, abs=1e-14), (a2, a3, k)
+    for a3, kind in ((0.3, "subcritical"), (-0.3, "supercritical"), (0.0, "degenerate")):
+        points = hopf_points(polynomial_oscillator(0.7, a3, 1.3), (0.7, 1.3))
+        assert points.criticality == (kind,)
 
 
-@pytest.mark.parametrize(
-    ("a3", "kind"), [(0.3, "subcritical"), (-0.3, "supercritical"), (0.0, "degenerate")]
-)
-def test_the_sign_has_its_name(a3, kind):
-    points = hopf_points(polynomial_oscillator(0.7, a3, 1.3), (0.7, 1.3))
-    assert points.criticality == (kind,)
-
-
-def test_it_goes_through_jit_and_grad():
-    def found(a3):
-        chain = Chain(1, TanhFriction(Polynomial(2.0, 0.1, 0.4, a3), 1e-3), SPEED, 0.05)
-        return coefficient(chain, 1.0), find_hopf_point(chain, "belt_speed").lyapunov_coefficient
-
-    for slope in jax.jit(jax.jacrev(found))(0.2):
-        assert float(slope) == pytest.approx(0.75, rel=1e-9)
-
-
+@pytest.mark.long
 def test_its_slopes_along_the_hopf_curve_are_those_of_differences():
     """Mistuned masses, whose eigenvectors turn as the damping of all of them grows."""
-    chain = paper_chain(3, 1.2, width=0.1).with_(
-        stiffness=jnp.array([1.0, 1.2, 0.9]), normal_load=jnp.array([1.0, 0.8, 1.1]), coupling=0.3
-    )
+    chain = MISTUNED.with_(belt_speed=1.2)
 
     def found(xi):
         point = find_hopf_point(chain.with_(damping_ratio=xi), "belt_speed", frequency=1.1)
@@ -148,22 +126,20 @@ def slope_by_balance(chain, points, k, shape, amplitude):
     return amplitudes.max() ** 2 / (found - speed)
 
 
+MISTUNED = paper_chain(3, width=0.1).with_(
+    damping_ratio=jnp.array([0.05, 0.02, 0.06]), stiffness=jnp.array([1.0, 1.2, 0.9]),
+    normal_load=jnp.array([1.0, 0.8, 1.1]), coupling=0.3,
+)  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("chain", "amplitude"),
     [
-        (paper_chain(1), 0.01),
-        (paper_chain(1, width=0.2), 0.003),
-        (
-            paper_chain(3, width=0.1).with_(
-                damping_ratio=jnp.array([0.05, 0.02, 0.06]),
-                stiffness=jnp.array([1.0, 1.2, 0.9]),
-                normal_load=jnp.array([1.0, 0.8, 1.1]),
-                coupling=0.3,
-            ),
-            0.003,
-        ),
+        (MISTUNED, 0.003),
+        pytest.param(paper_chain(1), 0.01, marks=pytest.mark.long),
+        pytest.param(paper_chain(1, width=0.2), 0.003, marks=pytest.mark.long),
     ],
-    ids=["one mass", "one mass, wide smoothing", "mistuned"],
+    ids=["mistuned", "one mass", "one mass, wide smoothing"],
 )
 def test_cycles_branch_off_with_the_slope_that_the_coefficient_says(chain, amplitude):
     points = hopf_points(chain, (0.0, 3.0))
@@ -175,7 +151,9 @@ def test_cycles_branch_off_with_the_slope_that_the_coefficient_says(chain, ampli
         assert float(points.square_amplitude_slope[k]) == pytest.approx(found, rel=5e-3)
 
 
-@pytest.mark.parametrize(("n", "m"), [(3, 1), (4, 1), (5, 2)])
+@pytest.mark.parametrize(
+    ("n", "m"), [(3, 1), *(pytest.param(*p, marks=pytest.mark.long) for p in ((4, 1), (5, 2)))]
+)
 def test_travelling_and_standing_waves_of_a_ring_branch_off_as_they_should(n, m):
     chain = paper_chain(n).with_(coupling=0.3)
     points = hopf_points(chain, (0.5, 2.0))
@@ -190,30 +168,3 @@ def test_travelling_and_standing_waves_of_a_ring_branch_off_as_they_should(n, m)
     assert float(points.standing_square_amplitude_slope[k]) == pytest.approx(slope, rel=1e-3)
     # For n = 4 the standing wave leaves every other mass at rest, and the two agree.
     assert np.isclose(slope, travelling, rtol=0.05) == (n == 4)
-
-
-def test_the_small_cycle_of_the_paper_repels_and_is_where_scipy_finds_it():
-    chain = paper_chain(1)
-    hopf = float(hopf_belt_speed(chain))
-    points = hopf_points(chain, (0.5, 2.0))
-    speed = hopf + 0.01
-
-    def fed_back(a):
-        """By how much the next maximum of the displacement exceeds this one, a above rest."""
-
-        def slipping(t, y):
-            return [y[1], -0.1 * y[1] - y[0] + 0.5 + 0.5 * np.exp(-2 * (speed - y[1]))]
-
-        def turn(t, y):
-            return y[1]
-
-        turn.direction = -1  # pyright: ignore[reportFunctionMemberAccess]  # as SciPy wants it
-        rest = 0.5 + 0.5 * np.exp(-2 * speed)
-        run = solve_ivp(slipping, (0, 10), [rest + a, -1e-14], events=turn, rtol=1e-12, atol=1e-13)
-        return run.y_events[0][-1][0] - rest - a
-
-    amplitude = root_scalar(fed_back, bracket=(0.1, 0.5), xtol=1e-10).root
-    assert amplitude**2 / 0.01 == pytest.approx(float(points.square_amplitude_slope[0]), rel=0.05)
-    # A repelling cycle: subcritical.
-    assert fed_back(0.95 * amplitude) < 0 < fed_back(1.05 * amplitude)
-    assert points.criticality == ("subcritical",)

@@ -1,12 +1,10 @@
-import functools
-from typing import Any, cast
+from typing import cast
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.optimize import minimize_scalar
 from wild_sets import steep_sets, wild_chain, wild_sets
 from witnesses.smoothed import OneMass
 
@@ -20,7 +18,6 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import Grazing
-from jaxchain.boundaries.fold import first_guess, value_and_jacobian
 from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
 
@@ -101,24 +98,24 @@ def folds():
     return {width: find_fold(paper_chain(1, width=width)) for width in (0.05, 0.01)}
 
 
-@pytest.mark.parametrize("width", [0.05, 0.01])
-def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds, width):
-    fold = folds[width]
-    assert bool(fold.successful)
-    assert fold.result == SearchResult.successful
-    assert fold.message == ""
-    (x,), (v,) = (np.asarray(part) for part in fold.state)
-    end, monodromy = OneMass(width).after(x, v, float(fold.period), float(fold.belt_speed))
-    np.testing.assert_allclose(end, [x, v], atol=1e-8)
-    # One is trivial, so the other is the determinant.
-    np.testing.assert_allclose(np.linalg.det(monodromy), 1.0, atol=3e-4)
-    assert abs(np.trace(monodromy) - 1.0 - np.linalg.det(monodromy)) < 1e-6
-
-
-def test_the_belt_speed_of_the_chain_has_no_part_in_its_fold(folds):
-    width = 0.05
-    value = fold_belt_speed(paper_chain(1, belt_speed=0.3, width=width))
-    np.testing.assert_allclose(value, folds[width].belt_speed, rtol=1e-10)
+def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds):
+    """The belt speed of the chain, and its direction, have no part in it."""
+    for width, fold in folds.items():
+        assert bool(fold.successful)
+        assert fold.result == SearchResult.successful
+        assert fold.message == ""
+        (x,), (v,) = (np.asarray(part) for part in fold.state)
+        end, monodromy = OneMass(width).after(x, v, float(fold.period), float(fold.belt_speed))
+        np.testing.assert_allclose(end, [x, v], atol=1e-8)
+        # One is trivial, so the other is the determinant.
+        np.testing.assert_allclose(np.linalg.det(monodromy), 1.0, atol=3e-4)
+        assert abs(np.trace(monodromy) - 1.0 - np.linalg.det(monodromy)) < 1e-6
+    # By continuation with another integrator.
+    known = [folds[0.05].belt_speed, folds[0.01].belt_speed]
+    np.testing.assert_allclose(known, [1.659307374, 1.792455775], rtol=1e-9)
+    for speed in (-1.5, 0.3):
+        value = find_fold(paper_chain(1, belt_speed=speed, width=0.05)).belt_speed
+        np.testing.assert_allclose(value, folds[0.05].belt_speed, rtol=1e-10)
 
 
 @pytest.mark.long
@@ -152,102 +149,6 @@ def test_a_lane_without_a_fold_is_marked_and_harms_no_other(folds):
     assert [fold.message.split(":")[0] for fold in outcomes] == [
         "There is no fold", "No fold was found"
     ]  # fmt: skip
-
-
-@pytest.mark.exhaustive
-def test_a_second_derivative_of_the_speed_alone_says_where_to_get_it():
-    chain = paper_chain(1, width=0.02)
-    slope = jax.grad(lambda xi: fold_belt_speed(chain.with_(damping_ratio=xi)))
-    with pytest.raises(RuntimeError, match="find_fold"):
-        jax.jvp(slope, (0.05,), (1.0,))
-
-
-@pytest.mark.parametrize(
-    ("mass", "message"),
-    [
-        (3, "`mass` must be an integer in 0 ... 2, but is 3"),
-        ((0, 1), "several"),
-    ],
-)
-def test_a_mass_that_is_not_there_is_refused(mass, message):
-    with pytest.raises(ValueError, match=message):
-        fold_belt_speed(paper_chain(3), mass)
-
-
-def test_anything_but_a_chain_is_refused():
-    with pytest.raises(ValueError, match="`chain` must be a `Chain`"):
-        fold_belt_speed(cast(Any, 1.5))
-
-
-@pytest.mark.exhaustive
-def test_the_fold_is_the_summit_of_scipys_branch():
-    """V(s) near the summit by SciPy's own shooting: no cycle near it has a greater speed."""
-    for width in (0.2, 0.05):
-        fold = find_fold(paper_chain(1, width=width))
-        mass = OneMass(width)
-
-        def speed(s, guess, mass=mass, width=width):
-            q = np.array(guess)
-            for _ in range(8):
-                v = q[0] + width * s
-                x = mass.force_and_slope(width * s)[0] - 2 * mass.xi * v
-
-                def gap(q, x=x, v=v):
-                    w = width * s
-                    v = q[0] + w
-                    x = mass.force_and_slope(w)[0] - 2 * mass.xi * v
-                    return (mass.after(x, v, q[1], q[0])[0] - [x, v]) / width
-
-                r = gap(q)
-                columns = [(gap(q + h) - r) / 1e-6 for h in 1e-6 * np.eye(2)]
-                step = np.linalg.solve(np.stack(columns, axis=1), r)
-                q = q - step
-                if np.max(np.abs(step)) < 1e-12:
-                    break
-            return -q[0]
-
-        guess = [float(fold.belt_speed), float(fold.period)]
-        s = float(fold.scaled_peak_velocity)
-        below = functools.partial(speed, guess=guess)
-        summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
-        np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
-
-
-@pytest.mark.exhaustive
-def test_the_whole_orbit_is_differentiable_and_twice():
-    chain = paper_chain(1, width=0.02)
-
-    def quantities(xi):
-        fold = find_fold(chain.with_(damping_ratio=xi))
-        return jnp.stack(
-            [fold.belt_speed, fold.period, fold.scaled_peak_velocity, fold.state[0][0]]
-        )
-
-    compiled = jax.jit(quantities)
-    tangent = jax.jit(lambda xi: jax.jvp(quantities, (xi,), (1.0,))[1])
-    h = 1e-5
-    differences = (compiled(0.05 + h) - compiled(0.05 - h)) / (2 * h)
-    np.testing.assert_allclose(tangent(0.05), differences, rtol=2e-4)
-
-
-@pytest.mark.exhaustive
-def test_the_localized_fold_of_three_masses_differentiates_in_every_number():
-    chain = paper_chain(3, width=0.05)
-
-    def speed(numbers):
-        coupling, stiffness = numbers
-        return fold_belt_speed(chain.with_(coupling=coupling, stiffness=stiffness), 1)
-
-    at = (jnp.asarray(0.01), jnp.asarray([1.0, 1.02, 0.99]))
-    slopes = jax.jit(jax.grad(speed))(at)
-    compiled = jax.jit(speed)
-    for direction in ((1.0, jnp.zeros(3)), (0.0, jnp.asarray([0.3, 1.0, -0.5]))):
-        h = 1e-5
-        plus, minus = (
-            compiled((at[0] + k * direction[0], at[1] + k * direction[1])) for k in (h, -h)
-        )
-        slope = slopes[0] * direction[0] + jnp.sum(slopes[1] * direction[1])
-        np.testing.assert_allclose(slope, (plus - minus) / (2 * h), rtol=1e-5)
 
 
 @pytest.mark.long
@@ -303,82 +204,3 @@ def test_no_claim_about_a_wild_set_is_contradicted_by_a_run(numbers, least):
     folds, _, _, wrong, missed = claims(numbers)
     assert wrong.size == missed.size == 0
     assert int(jnp.sum(folds.successful)) >= least
-
-
-@pytest.mark.long
-def test_folds_are_found_for_every_multiplier_of_the_slip_cycle():
-    """Their gap to the asymptotics, which come from dry friction alone, is C width^(3/2)."""
-    numbers = steep_sets(8, 60, 0.001)
-    folds, _ = wild_folds(numbers)
-    dry: Any = jax.lax.map(
-        lambda one: find_fold(wild_chain(one).with_(width=None)), jnp.asarray(numbers)
-    )
-    assert bool(jnp.all(folds.successful & dry.successful))
-    multiplier = np.asarray(-dry.slope_plus / dry.slope_minus)
-    assert np.sum(multiplier > 1e8) >= 30
-    assert np.sum(multiplier > 0.99e15) >= 15
-    speeds = np.minimum(dry.belt_speed, 2.0 * numbers[:, 2])
-    shares = np.array([1e-4, 1e-5, 1e-6])
-    for least, most in ((1e2, 1e4), (1e4, 1e8), (1e8, 1e12), (1e12, 1e14), (0.99e15, 1e16)):
-        which = np.flatnonzero((multiplier > least) & (multiplier < most))[0]
-        some = np.repeat(numbers[which][None], 3, axis=0)
-        some[:, 3] = speeds[which] * shares
-        found = wild_folds(some)[0].belt_speed
-        expected = jax.tree.map(lambda part, k=which: part[k], dry).smoothed
-        gaps = (found - jax.vmap(expected)(jnp.asarray(some[:, 3]))) / speeds[which]
-        constants = gaps / shares**1.5
-        np.testing.assert_allclose(constants, constants[1], rtol=0.08)
-        assert abs(constants[1]) < 1e4
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("numbers", [wild_sets(0, 300)[233], *wild_sets(7, 400)[[214, 372]]])
-def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
-    """Sets whose V(s) is flat, with its maximum far from where the loose search ends."""
-    fold = jax.tree.map(lambda part: part[0], wild_folds(numbers[None])[0])
-    start = first_guess(wild_chain(numbers), 0)
-    shooting, index = start.shooting, start.shooting.z_index
-    slopes = jax.jit(functools.partial(value_and_jacobian, shooting, start.short))
-    closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[index].set(fold.belt_speed)
-    for way in (-1.0, 1.0):
-        q, r = closed, jnp.full(2, jnp.inf)
-        for k in range(1, 9):
-            s = fold.scaled_peak_velocity + way * 0.05 * k
-            for _ in range(4):
-                r, jacobian = slopes(jnp.append(q, jnp.arcsinh(s)))
-                q = q - jnp.linalg.solve(jacobian[:, :-1], r)
-            assert jnp.max(jnp.abs(r)) < 1e-9
-            assert q[index] < fold.belt_speed * (1.0 + 3e-9)
-
-
-@pytest.mark.parametrize("speed", [-1.5, 0.3])
-def test_the_direction_of_the_belt_has_no_part_in_a_fold(folds, speed):
-    value = fold_belt_speed(paper_chain(1, belt_speed=speed, width=0.05))
-    np.testing.assert_allclose(value, folds[0.05].belt_speed, rtol=1e-10)
-
-
-@pytest.mark.long
-def test_derivatives_are_taken_at_the_fold_itself():
-    """Beside it the belt speed errs by the square of the distance, its derivatives by that."""
-    chain = paper_chain(1, width=1e-3)
-    fold = jax.jit(lambda width: fold_belt_speed(chain.with_(width=width)))
-    step = 2e-5
-
-    def slope(h):
-        return (float(fold(1e-3 + h)) - float(fold(1e-3 - h))) / (2.0 * h)
-
-    by_four, by_two, by_one = (slope(step / k) for k in (4, 2, 1))
-    halved, whole = (4.0 * by_four - by_two) / 3.0, (4.0 * by_two - by_one) / 3.0
-    expected = (16.0 * halved - whole) / 15.0
-    assert float(jax.grad(fold)(1e-3)) == pytest.approx(expected, rel=2e-6)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("width", [1e-2, None])
-def test_what_does_not_exist_has_no_derivative_either(width):
-    chain = paper_chain(1, width=width)
-
-    def speed(xi):
-        return fold_belt_speed(chain.with_(damping_ratio=xi))
-
-    assert np.isnan([f(0.6) for f in (speed, jax.jacfwd(speed), jax.grad(speed))]).all()

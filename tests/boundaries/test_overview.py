@@ -13,30 +13,20 @@ from jaxchain.boundaries import continue_special, find_hopf_point, fold, grazing
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.result import SearchResult
 
-WIDTH = 1e-2
 # The grazing fold of the paper's set, from an independent continuation of slip cycles.
 DRY_FOLD = 1.836600972208
 
 
-@pytest.fixture(scope="module")
-def found():
-    return stability_range(paper_chain(1, width=WIDTH), error_bars=True)
-
-
 @pytest.mark.long
 @pytest.mark.slow
-def test_the_boundaries_of_the_paper(found):
+def test_the_boundaries_of_the_paper():
+    found = stability_range(paper_chain(1, width=1e-2), error_bars=True)
     np.testing.assert_allclose(found.hopf, np.log(10.0) / 2, rtol=1e-13)
     np.testing.assert_allclose(found.hopf_dry, np.log(10.0) / 2, rtol=1e-13)
     np.testing.assert_allclose(found.fold, 1.792455775, rtol=1e-9)
     assert abs(found.fold_dry - DRY_FOLD) <= found.fold_dry_error < 1e-9
     assert abs(found.fold_limit - DRY_FOLD) <= found.fold_limit_error < 1e-3
     assert all(np.isfinite(jax.tree.leaves(found)))
-
-
-def test_a_mass_that_is_none_of_the_chain_is_refused():
-    with pytest.raises(ValueError, match="mass"):
-        stability_range(paper_chain(3), 3)
 
 
 def friction(v, eps, static=1.0, drop=0.5, v0=0.5):

@@ -1,7 +1,6 @@
 """Curves of special points against closed forms, SciPy and single searches."""
 
 from functools import partial
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -9,17 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
-from scipy.optimize import brentq, fsolve
-from synthetic import cycle_branch
 
 from jaxchain import (
-    Coulomb,
     ExponentialDecay,
     StickTime,
-    TanhFriction,
-    Trajectory,
-    WeakeningStrengthening,
     continue_cycle,
     continue_special,
     equation_8,
@@ -37,14 +29,11 @@ from jaxchain.boundaries import (
     hopf_points,
     special_curves,
 )
-from jaxchain.kinds.fold import Fold
-from jaxchain.kinds.multipliers import PeriodDoubling
 from jaxchain.model import (
     AbstractCells,
     Duffing,
     GaussianStribeck,
     MechanicalCells,
-    ModeCoupling,
 )
 
 # The generalised Hopf point of one mass of the paper at width 0.05: (belt speed, damping ratio).
@@ -60,23 +49,6 @@ class BogdanovTakens(AbstractCells):
     def rate(self, t, left, own, right):
         x, y = own
         return y, self.a + self.b * x + x**2 - x * y
-
-
-class Rotating(AbstractCells):
-    """z' = (a + i + b R + c R^2 - R^3) z, R = |z|^2.
-
-    Folds have b = 3 R^2 - 2 c R and a = c R^2 - 2 R^3.
-    """
-
-    a: jax.Array
-    b: jax.Array
-    c: jax.Array
-
-    def rate(self, t, left, own, right):
-        x, y = own
-        R = x**2 + y**2
-        growth = self.a + self.b * R + self.c * R**2 - R**3
-        return growth * x - y, growth * y + x
 
 
 class Driven(AbstractCells):
@@ -132,9 +104,10 @@ def fold_of(chain):
     return continue_cycle(find_limit_cycle(chain)).of_kind("fold")[0]
 
 
-def test_hopf_points_end_where_their_frequency_is_zero():
-    cells = BogdanovTakens(*numbers(0.05, -1.0))
-    curve = continue_special(find_hopf_point(cells, "a", at_rest(2)), "b", bounds={"b": (-2, 2)})
+def test_hopf_points_end_where_their_frequency_is_zero(monkeypatch):
+    """An interrupted curve says so, and does not go on in the other direction."""
+    point = find_hopf_point(BogdanovTakens(*numbers(0.05, -1.0)), "a", at_rest(2))
+    curve = continue_special(point, "b", bounds={"b": (-2, 2)})
     assert curve.ended == ("left_bounds", "Bogdanov-Takens")
     assert curve.second[0] == -2.0
     np.testing.assert_allclose(curve.first, 0.0, atol=1e-12)
@@ -143,42 +116,17 @@ def test_hopf_points_end_where_their_frequency_is_zero():
     assert (end.first, end.second) == pytest.approx((0.0, 0.0), abs=1e-9)
     assert end.index == len(curve.first) - 2
 
-
-def test_an_interrupted_curve_says_so_and_does_not_go_on_in_the_other_direction(monkeypatch):
     def interrupt(count, point):
         if count == 5:
             raise KeyboardInterrupt
 
     follow = partial(special_curves.continue_branch, progress=interrupt)
     monkeypatch.setattr(special_curves, "continue_branch", follow)
-    cells = BogdanovTakens(*numbers(0.05, -1.0))
-    point = find_hopf_point(cells, "a", at_rest(2))
     curve = continue_special(point, "b", bounds={"b": (-2, 2)})
     assert (curve.ended, len(curve.second)) == (("interrupted", "interrupted"), 5)
     assert "Interrupted from the keyboard" in curve.message
     with pytest.raises(KeyboardInterrupt):
         continue_special(point, "b", bounds={"b": (-2, 2)}, keep_part=False)
-
-
-def test_hopf_points_of_cells_are_those_of_eigenvalues():
-    cells = ModeCoupling(
-        2.0, 1.0, 0.5, contact_stiffness=1.0, friction=1.05, damping_x=0.05, damping_y=0.04,
-        cubic=0.3,
-    )  # fmt: skip
-    point = find_hopf_point(cells, "friction", at_rest(4))
-    curve = continue_special(point, "damping_x", bounds={"damping_x": (0.01, 0.4)})
-    assert curve.ended == ("left_bounds", "left_bounds")
-
-    def growth(friction, damping):
-        J = np.zeros((4, 4))
-        J[:2, 2:] = np.eye(2)
-        J[2] = -2.0, friction - 0.5, -damping, 0.0
-        J[3] = -0.5, -1.0, 0.0, -0.04
-        return np.linalg.eigvals(J).real.max()
-
-    for p, q in zip(curve.first, curve.second, strict=True):
-        root = brentq(growth, p - 0.02, p + 0.02, args=(q,), xtol=1e-14)
-        assert p == pytest.approx(root, abs=1e-9)
 
 
 def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_point():
@@ -194,23 +142,20 @@ def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_po
     (meeting,) = curve.of_kind("generalised Hopf")
     assert (meeting.first, meeting.second) == pytest.approx(MEETING, abs=1e-10)
     assert curve.second[meeting.index] < meeting.second < curve.second[meeting.index + 1]
+    # The Lyapunov coefficient on both sides of it, by another way.
+    for damping in (0.05, 0.25, 0.3):
+        there = chain.with_(damping_ratio=damping, belt_speed=0.3)
+        own, listed = find_hopf_point(there, "belt_speed"), hopf_points(there, (0.1, 3.0))
+        k = int(jnp.argmin(jnp.abs(listed.belt_speed - own.value)))
+        known = float(listed.lyapunov_coefficient[k])
+        assert float(own.lyapunov_coefficient) == pytest.approx(known, rel=1e-9), damping
+        assert (damping < MEETING[1]) == (known > 0)
     varied = chain.with_(damping_ratio=curve.second[3])
     slopes, known = (
         jax.grad(f)(varied).parameters() for f in (lambda c: curve.at(3, c).value, hopf_belt_speed)
     )
     for name, slope in known.items():
         assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-8)
-
-
-@pytest.mark.parametrize("damping", [0.05, 0.25, 0.3])
-def test_the_lyapunov_coefficient_is_that_of_one_mass(damping):
-    chain = paper_chain(1, belt_speed=0.3, width=0.05).with_(damping_ratio=damping)
-    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
-    points = hopf_points(chain, (0.1, 3.0))
-    k = int(jnp.argmin(jnp.abs(points.belt_speed - point.value)))
-    known = float(points.lyapunov_coefficient[k])
-    assert float(point.lyapunov_coefficient) == pytest.approx(known, rel=1e-9)
-    assert (damping < MEETING[1]) == (known > 0)
 
 
 class Slaved(AbstractCells):
@@ -228,47 +173,22 @@ class Slaved(AbstractCells):
 
 
 def test_the_lyapunov_coefficient_of_several_numbers_is_that_of_the_normal_form():
-    """It is b / |q|^2 at scale 1; the fast number y adds to it by the middle term."""
-    point = find_hopf_point(Slaved(*numbers(0.1, -1.0, -4.0)), "a", at_rest(3))
-    # z = sqrt(2) w in the coordinates of <q, q> = 1, and R = 2 |w|^2: (b + 1/4) 2 |w|^2 / 1.
-    assert float(point.lyapunov_coefficient) == pytest.approx(2.0 * (-1.0 + 0.25), rel=1e-12)
-
-
-def test_a_lyapunov_coefficient_that_jumps_through_infinity_is_no_special_point():
-    """2 (b - 1 / c) changes its sign at c = 0, and is zero at c = 1 / b alone."""
-    point = find_hopf_point(Slaved(*numbers(0.1, -1.5, -0.5)), "a", at_rest(3))
-    (zero,) = continue_special(point, "c", bounds={"c": (-1.0, 1.0)}).of_kind("generalised Hopf")
+    """2 (b - 1 / c) jumps through infinity at c = 0, and is zero at c = 1 / b alone."""
+    for b, c in ((-1.0, -4.0), (-1.5, -0.5)):
+        point = find_hopf_point(Slaved(*numbers(0.1, b, c)), "a", at_rest(3))
+        # z = sqrt(2) w in the coordinates of <q, q> = 1, and R = 2 |w|^2.
+        assert float(point.lyapunov_coefficient) == pytest.approx(2.0 * (b - 1 / c), rel=1e-12)
+    curve = continue_special(point, "c", bounds={"c": (-1.0, 1.0)}, max_step=0.2)
+    (zero,) = curve.of_kind("generalised Hopf")
     assert zero.second == pytest.approx(-1.0 / 1.5, abs=1e-9)
     assert np.isfinite(zero.error)
 
 
+@pytest.mark.long
 def test_modes_that_cross_together_have_no_lyapunov_coefficient():
     chain = paper_chain(3)
     point = find_hopf_point(chain, "belt_speed", steady_sliding(chain), frequency=1.03**0.5)
     assert np.isnan(point.lyapunov_coefficient)
-
-
-def test_another_multiplier_at_the_same_place_changes_the_sign():
-    for kind, name, at in ((Fold(), "1:1", 1.0), (PeriodDoubling(), "1:2", -1.0)):
-        test = kind.curve_tests(cycle_branch(1).orbit)[name]
-        one, other = (
-            test(None, 0.0, None, SimpleNamespace(multipliers=np.array([at, at + d, 0.3])))
-            for d in (0.01, -0.01)
-        )
-        assert one * other < 0
-
-
-def test_bad_input_is_refused():
-    chain = paper_chain(1, width=0.05)
-    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain))
-    with pytest.raises(ValueError, match=r"`second` must be .*damping_ratio"):
-        continue_special(point, "belt_speed")
-    with pytest.raises(ValueError, match=r"contain the start, damping_ratio = 0\.05"):
-        continue_special(point, "damping_ratio", bounds={"damping_ratio": (0.1, 0.2)})
-    with pytest.raises(ValueError, match="`bounds`"):
-        continue_special(point, "damping_ratio", bounds={"width": (0.1, 0.2)})
-    with pytest.raises(ValueError, match="`point`"):
-        find_special_cycle(point)
 
 
 def smooth_orbit(chain, v, state, period, sign=-1.0):
@@ -318,42 +238,39 @@ def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
     assert curves[0].to_dataset().point_kind.values.tolist() == list(curves[0].kinds)
 
 
-def test_a_dry_fold_has_its_slopes_and_ends_in_the_generalised_hopf_point():
-    chain = paper_chain(1, width=None, friction=GaussianStribeck(1.0, 0.5, 1.2, 0.0))
-    grazing = find_fold(chain)
-    curve = continue_special(grazing, "damping_ratio", bounds={"damping_ratio": (0.02, 0.5)})
-    assert curve.ended == ("left_bounds", "generalised Hopf")
-    # mu''' = 0 at v_s sqrt(3 / 2), where -mu' = 2 xi.
-    damping = 0.5 * np.sqrt(1.5) * np.exp(-1.5) / 1.2
-    assert (curve.second[-1], curve.first[-1]) == pytest.approx(
-        (damping, 1.2 * np.sqrt(1.5)), abs=1e-8
-    )
-
+def test_a_dry_fold_is_found_again_with_its_slopes(dry_fold):
     def value(chain):
-        return find_special_cycle(grazing, chain).value
+        return find_special_cycle(dry_fold, chain).value
 
-    slopes, expected = (jax.grad(f)(chain).parameters() for f in (value, fold_belt_speed))
+    there = dry_fold.chain.with_(damping_ratio=0.055, mu_dynamic=0.48)
+    (speed, slopes), (known, expected) = (
+        jax.value_and_grad(f)(there) for f in (value, fold_belt_speed)
+    )
+    assert float(speed) == pytest.approx(float(known), abs=1e-9)
+    slopes, expected = slopes.parameters(), expected.parameters()
     for name, slope in expected.items():
-        assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-7)
-    other = lambda q: value(chain.with_(damping_ratio=q))  # noqa: E731
-    many = jax.vmap(other)(jnp.array([0.05, 0.055]))
-    expected = [fold_belt_speed(chain.with_(damping_ratio=q)) for q in (0.05, 0.055)]
-    np.testing.assert_allclose(many, expected, atol=1e-9)
-    assert float(jax.jit(other)(0.055)) == pytest.approx(float(expected[1]), abs=1e-9)
+        assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-7), name
 
 
-@pytest.mark.parametrize(
-    ("second", "first_end"), [("mu_dynamic", "mu_dynamic = 0"), ("v_ref", "step_too_small")]
-)
-def test_a_curve_ends_with_the_name_of_the_number_that_vanishes(second, first_end):
-    """The amplitude of a slip cycle is about the belt speed; v_ref -> 0 is no model at all."""
-    curve = continue_special(find_fold(paper_chain(1, width=None)), second)
-    assert curve.ended == (first_end, "belt_speed = 0")
+def test_a_curve_ends_with_the_name_of_the_number_that_vanishes(dry_fold):
+    """The amplitude of a slip cycle is about the belt speed."""
+    curve = continue_special(dry_fold, "mu_dynamic")
+    assert curve.ended == ("mu_dynamic = 0", "belt_speed = 0")
     assert "It ends where belt_speed = 0." in curve.message
     assert 0.0 <= curve.first[-1] < 1e-6
     assert np.all(curve.first[:-1] > 0)
     assert np.all(curve.second >= 0)
     assert not curve.special  # what is seen at a belt speed of 1e-8 is rounding
+    some = curve.second[5:-5:7]
+    folds = jax.jit(jax.vmap(lambda q: fold_belt_speed(dry_fold.chain.with_(mu_dynamic=q))))(some)
+    np.testing.assert_allclose(curve.first[5:-5:7], folds, atol=1e-9)
+    with pytest.raises(ValueError, match="`kind`"):
+        find_special_cycle((dry_fold.state, dry_fold.period), dry_fold.chain, kind="fold", mass=0)
+    smoothed = dry_fold.chain.with_(width=0.01)
+    with pytest.raises(ValueError, match="needs dry friction"):
+        find_special_cycle((dry_fold.state, dry_fold.period), smoothed, kind="release")
+    with pytest.raises(ValueError, match="a search that failed"):
+        continue_special(find_fold(dry_fold.chain.with_(damping_ratio=2.0)), "v_ref")
 
 
 def settled(cells, period, forcing_periods, start=(1.0, 0.0)):
@@ -361,35 +278,7 @@ def settled(cells, period, forcing_periods, start=(1.0, 0.0)):
     return run.state
 
 
-def test_the_onset_of_sticking_of_a_forced_mass_is_that_of_the_matrix_exponential():
-    """x'' + x'/10 + x + sign x' = F cos(omega t); it slides for half a period, F cos(phi) = x - 1.
-
-    Den Hartog, Forced vibrations with combined Coulomb and viscous friction, Transactions of the
-    ASME 53, 1931.
-    """
-    cells = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), force=1.8, frequency=0.9)
-    period = 2 * np.pi / 0.9
-    point = find_special_cycle(
-        (settled(cells, period, 40), period), cells, kind="stick onset", mass=0, parameter="force"
-    )
-    curve = continue_special(point, "frequency", bounds={"frequency": (0.5, 1.4)})
-    assert curve.ended == ("left_bounds", "left_bounds")
-
-    def gaps(z, omega):  # of (x, F cos(phi), F sin(phi)) at the beginning of a half period
-        A = np.zeros((5, 5))  # of (x, v, F cos, F sin, 1)
-        A[0, 1], A[1] = 1.0, [-1.0, -0.1, 1.0, 0.0, 1.0]
-        A[2, 3], A[3, 2] = -omega, omega
-        y = expm(A * np.pi / omega) @ [z[0], 0.0, z[1], z[2], 1.0]
-        return [y[0] + z[0], y[1], z[1] - z[0] + 1.0]
-
-    for (x, _, t, *_), force, omega in zip(curve.unknowns, curve.first, curve.second, strict=True):
-        start = np.sign(x) * np.array([x, force * np.cos(omega * t), force * np.sin(omega * t)])
-        z: Any = fsolve(gaps, start + 1e-3, (omega,), xtol=1e-12)
-        assert np.max(np.abs(gaps(z, omega))) < 1e-10
-        assert force == pytest.approx(np.hypot(z[1], z[2]), abs=1e-9)
-
-
-def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
+def test_at_a_release_the_force_just_reaches_the_static_limit():
     law = ExponentialDecay(1.0, 0.5, 0.5)
     cells = MechanicalCells(
         1.0, damping=0.1, friction=law, belt_speed=0.2, force=0.2, frequency=2.5
@@ -397,16 +286,6 @@ def test_a_mass_that_sticks_slides_in_between_beyond_a_release():
     forcing_periods, step = 3, 2 * np.pi / 2.5
     start = settled(cells, step, 60 * forcing_periods), forcing_periods * step
     point = find_special_cycle(start, cells, kind="release", mass=0, parameter="force")
-    times = jnp.linspace(0.0, forcing_periods * step, 4001)
-
-    def sticks(force):  # how often, in a period
-        there = cells.with_(force=force)
-        begin = settled(there, step, 60 * forcing_periods, (float(point.state[0][0]), 0.2))
-        run = simulate(there, begin, forcing_periods * step, observe=Trajectory(times))
-        sticking = np.abs(np.asarray(run.observed[1])[:-1, 0] - 0.2) < 1e-12
-        return np.sum(sticking & ~np.roll(sticking, 1))
-
-    assert [sticks(point.value + d) for d in (-1e-4, 1e-4)] == [1, 2]
     # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.
     phases: Any = point.orbit
     assert [event for event, _, _ in phases.sequence] == ["landing", "turn", "release"]
@@ -453,21 +332,6 @@ def test_another_mass_sticks_beyond_its_grazing_through_a_change_of_order():
             assert bool(stuck[1] > 0) == expected
 
 
-def test_bad_dry_input_is_refused():
-    chain = paper_chain(1, width=None)
-    cycle = find_limit_cycle(chain)
-    with pytest.raises(ValueError, match="no peak of its velocity"):
-        find_special_cycle(cycle, kind="grazing", mass=0)
-    with pytest.raises(ValueError, match="`kind`"):
-        find_special_cycle(cycle, kind="fold", mass=0)
-    with pytest.raises(ValueError, match="`parameter`"):
-        find_special_cycle(cycle, kind="release", mass=0, parameter="load")
-    with pytest.raises(ValueError, match="needs dry friction"):
-        find_special_cycle((cycle.state, cycle.period), chain.with_(width=0.01), kind="release")
-    with pytest.raises(ValueError, match="a search that failed"):
-        continue_special(find_fold(chain.with_(damping_ratio=2.0)), "v_ref")
-
-
 @pytest.mark.long
 def test_folds_end_in_the_generalised_hopf_point():
     fold = fold_of(paper_chain(1, belt_speed=1.5, width=0.05))
@@ -486,70 +350,6 @@ def test_folds_end_in_the_generalised_hopf_point():
     assert data.damping_ratio.attrs["units"] == "1"
     assert data.special_kind.values.tolist() == ["generalised Hopf"]
     assert data.attrs["ended_last"] == "generalised Hopf"
-
-
-LAWS = {
-    "exponential": ExponentialDecay(1.0, 0.5, 0.5),
-    "strengthening": WeakeningStrengthening(1.0, 0.5, 0.5, 0.02),
-    "gaussian": GaussianStribeck(1.0, 0.5, 0.5, 0.01),
-}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("law", LAWS)
-def test_folds_are_those_of_single_searches(law):
-    for width in (1e-1, 1e-2, 1e-3, 1e-4):
-        chain = paper_chain(1, friction=TanhFriction(LAWS[law], width))
-        chain = chain.with_(belt_speed=0.95 * find_fold(chain).belt_speed)
-        curve = continue_special(
-            fold_of(chain), "damping_ratio", bounds={"damping_ratio": (0.02, 0.12)}, max_step=0.06
-        )
-        assert curve.ended == ("left_bounds", "left_bounds")
-        assert len(curve.first) > 30
-        folds = [find_fold(chain.with_(damping_ratio=q)).belt_speed for q in curve.second]
-        np.testing.assert_allclose(curve.first, folds, atol=1e-8)
-
-
-@pytest.mark.long
-def test_a_special_cycle_has_the_slopes_of_the_fold_in_all_numbers():
-    chain = paper_chain(1, belt_speed=1.5, width=0.05)
-    fold = fold_of(chain)
-    slopes, known = (
-        jax.grad(f)(chain).parameters()
-        for f in (lambda c: find_special_cycle(fold, c).value, fold_belt_speed)
-    )
-    for name, slope in known.items():
-        assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-6)
-
-    def speed(damping):
-        return find_special_cycle(fold, chain.with_(damping_ratio=damping)).value
-
-    many = jax.vmap(speed)(jnp.array([0.05, 0.052, 0.054]))
-    expected = [fold_belt_speed(chain.with_(damping_ratio=q)) for q in (0.05, 0.052, 0.054)]
-    np.testing.assert_allclose(many, expected, atol=1e-10)
-    with pytest.raises(RuntimeError, match="No fold in `belt_speed` was found"):
-        find_special_cycle(fold, chain.with_(damping_ratio=0.6))
-    # Too far for Newton's method from there: in steps.
-    far = chain.with_(width=1e-2, damping_ratio=0.08)
-    value = find_special_cycle(fold, far).value
-    assert float(value) == pytest.approx(float(fold_belt_speed(far)), abs=1e-9)
-
-
-@pytest.mark.long
-def test_folds_of_cells_have_their_cusp_and_meet_the_hopf_points():
-    # A stable cycle of R near 0.87, whose branch folds at small a.
-    cells = Rotating(*numbers(0.02, -0.2, 1.0))
-    cycle = find_limit_cycle(cells, ((jnp.array([0.88]), jnp.zeros(1)), 2 * np.pi))
-    fold = continue_cycle(cycle, parameter="a", direction=-1, bounds=(-1, 1)).of_kind("fold")[0]
-    curve = continue_special(fold, "b", bounds={"b": (-0.6, 0.1)})
-    R = curve.amplitude[:, 0] ** 2
-    np.testing.assert_allclose(curve.second, 3 * R**2 - 2 * R, atol=1e-8)
-    np.testing.assert_allclose(curve.first, R**2 - 2 * R**3, atol=1e-8)
-    (cusp,) = curve.of_kind("cusp")
-    assert (cusp.first, cusp.second) == pytest.approx((1 / 27, -1 / 3), abs=1e-9)
-    assert set(curve.ended) == {"generalised Hopf", "left_bounds"}
-    (meeting,) = curve.of_kind("generalised Hopf")
-    assert (meeting.first, meeting.second) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
 @pytest.mark.long

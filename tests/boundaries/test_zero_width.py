@@ -1,7 +1,5 @@
 """The limit of width 0 and its error bar: exact series, and the direct dry fold as a witness."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,9 +10,6 @@ from jaxchain.boundaries.limit import extrapolate, extrapolated_fold
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.model import GaussianStribeck
 
-# Second looks, or minutes of compilation: not in every run of the tests.
-pytestmark = pytest.mark.long
-
 WIDTHS = 1e-3 * 2.0 ** np.arange(6)
 NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
 PAPER = [0.05, 1.0, 0.5, 0.5]
@@ -24,14 +19,10 @@ def of(parameters):
     return paper_chain(n=1).with_(**dict(zip(NAMES, parameters, strict=True)))
 
 
-def random_sets(seed, count, wild=False):
+def random_sets(seed, count):
+    ranges = np.log([(0.02, 0.15), (0.6, 1.4), (0.3, 0.8), (0.2, 1.0)])
     rng = np.random.default_rng(seed)
-    ranges = [(0.02, 0.15), (0.6, 1.4), (0.3, 0.8), (0.2, 1.0)]
-    if wild:
-        ranges = [(0.01, 0.3), (0.3, 2.0), (0.1, 0.95), (0.1, 2.0)]
-    xi, static, share, v_ref = (
-        np.exp(rng.uniform(np.log(low), np.log(high), count)) for low, high in ranges
-    )
+    xi, static, share, v_ref = np.exp([rng.uniform(*ends, count) for ends in ranges])
     return np.stack([xi, static, share * static, v_ref], axis=1)
 
 
@@ -41,31 +32,30 @@ def series(e, coefficients):
     return sum(c * t for c, t in zip(coefficients, terms, strict=False))
 
 
-@pytest.mark.parametrize("count", [4, 5, 6])
-@pytest.mark.parametrize("scale", [1.0, 0.3])
-def test_an_exact_series_is_found_again(count, scale):
-    expected = np.array([1.8, -0.4, -4.0, 3.0, 1.0, -2.0])[:count]
-    widths = WIDTHS[:count][::-1].copy()  # in any order
-    found = extrapolate(series(widths / scale, expected), widths, scale=scale)
-    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-5)
-    np.testing.assert_allclose(found.value, expected[0], rtol=1e-12)
+def test_an_exact_series_is_found_again():
+    expected = np.array([1.8, -0.4, -4.0, 3.0, 1.0, -2.0])
+    for count, scale in ((4, 1.0), (5, 0.3), (6, 1.0)):
+        widths = WIDTHS[:count][::-1].copy()  # in any order
+        found = extrapolate(series(widths / scale, expected[:count]), widths, scale=scale)
+        np.testing.assert_allclose(found.coefficients, expected[:count], rtol=1e-5)
+        np.testing.assert_allclose(found.value, expected[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("count", [4, 5, 6, 8])
-def test_the_bar_holds_for_other_functions(count):
+def test_the_bar_holds_for_other_functions():
     """Functions of eps ln(eps) and eps^(1/2) that are no finite series."""
-    widths = 5e-4 * 2.0 ** np.arange(count)
-    shift = 0.25 * widths * np.log(30 / widths)
-    for values, truth in (
-        (np.sqrt(2.0 - shift), np.sqrt(2.0)),
-        (np.exp(-3.0 * shift + widths**1.5), 1.0),
-        (1.0 / (1.0 + shift + 2.0 * widths), 1.0),
-    ):
-        found = extrapolate(values, widths)
-        wrong = abs(found.value - truth)
-        assert 1e-13 < wrong < found.error < 1e-3
-        assert found.error < 1e3 * wrong
-        assert found.error < 0.1 * abs(values[0] - truth)
+    for count in (4, 6, 8):
+        widths = 5e-4 * 2.0 ** np.arange(count)
+        shift = 0.25 * widths * np.log(30 / widths)
+        for values, truth in (
+            (np.sqrt(2.0 - shift), np.sqrt(2.0)),
+            (np.exp(-3.0 * shift + widths**1.5), 1.0),
+            (1.0 / (1.0 + shift + 2.0 * widths), 1.0),
+        ):
+            found = extrapolate(values, widths)
+            wrong = abs(found.value - truth)
+            assert 1e-13 < wrong < found.error < 1e-3, count
+            assert found.error < 1e3 * wrong
+            assert found.error < 0.1 * abs(values[0] - truth)
 
 
 def test_what_does_not_depend_on_the_width_has_the_bar_of_its_values():
@@ -89,90 +79,22 @@ def test_it_is_linear_in_the_values_and_transforms():
     assert jnp.isnan(both.error[1])
 
 
-@pytest.mark.parametrize(
-    ("values", "widths", "change", "message"),
-    [
-        (np.ones(3), WIDTHS[:3], {}, "`widths` must be at least 4"),
-        (np.ones(4), [1e-3, 2e-3, 4e-3, -8e-3], {}, "`widths` must be positive and finite, but"),
-        (np.ones(4), [1e-3, 2e-3, 4e-3, 2e-3], {}, "`widths` must differ"),
-        (np.ones((4, 2)), WIDTHS[:4], {}, r"`values` must have one value per width, shape \(4,\)"),
-        (np.ones(4), WIDTHS[:4], {"scale": 0.0}, "`scale` must be positive"),
-        (np.ones(4), WIDTHS[:4], {"accuracy": -1.0}, "`accuracy` must be positive"),
-    ],
-)
-def test_bad_input_is_named(values, widths, change, message):
-    with pytest.raises(ValueError, match=message):
-        extrapolate(values, widths, **change)
-
-
-def test_bad_widths_are_named_before_anything_long_starts():
-    with pytest.raises(ValueError, match="`widths` must be at least 4"):
-        extrapolated_fold(paper_chain(n=1), widths=[1e-3])
-
-
-@pytest.fixture(scope="module")
-def boundaries():
-    return jax.jit(jax.vmap(lambda p: stability_range(of(p), error_bars=True)))
-
-
-def check_bars(found, least):
-    """The bar holds the direct dry fold, and is not absurdly wide."""
-    known = np.isfinite(found.fold_limit) & np.isfinite(found.fold_dry)
-    wrong, bar = np.abs(found.fold_limit - found.fold_dry)[known], found.fold_limit_error[known]
-    assert np.sum(known) >= 0.9 * np.sum(np.isfinite(found.fold_dry)) > 0.7 * known.size
-    assert np.mean(wrong <= bar) >= least
-    assert np.median(bar / found.fold_dry[known]) < 1e-5
-    assert np.median(wrong / found.fold_dry[known]) < 1e-6
-    return known
-
-
-@pytest.mark.slow
-def test_the_bar_holds_for_random_sets(boundaries):
+@pytest.mark.long
+def test_the_bar_holds_for_random_sets():
     """Eleven sets, that of the paper, and one whose friction does not weaken."""
     sets = np.concatenate([[PAPER, [0.05, 1.0, 1.0, 0.5]], random_sets(11, 11)])
-    found = boundaries(jnp.asarray(sets))
-    known = check_bars(found, 1.0)
+    found = jax.jit(jax.vmap(lambda p: stability_range(of(p), error_bars=True)))(jnp.asarray(sets))
+    known = np.isfinite(found.fold_limit) & np.isfinite(found.fold_dry)
     np.testing.assert_array_equal(known, [True, False, *[True] * 11])
+    wrong, bar = np.abs(found.fold_limit - found.fold_dry)[known], found.fold_limit_error[known]
+    assert np.all(wrong <= bar)
+    assert np.median(bar / found.fold_dry[known]) < 1e-5
+    assert np.median(wrong / found.fold_dry[known]) < 1e-6
     assert jnp.isnan(found.fold[1])
     assert jnp.isnan(found.fold_limit_error[1])
     # At the chain's own width, 1e-3, all are biased, by far more than the bar.
     assert np.all((found.fold_limit - found.fold)[known] > 100 * found.fold_limit_error[known])
     np.testing.assert_allclose(found.fold[0], 1.831129820, rtol=1e-8)  # by continuation
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize(("wild", "least"), [(False, 0.99), (True, 0.97)])
-def test_the_bar_holds_for_a_hundred_random_sets(boundaries, wild, least):
-    check_bars(boundaries(jnp.asarray(random_sets(12, 100, wild))), least)
-
-
-@pytest.mark.exhaustive
-def test_gradients_are_those_of_the_folds():
-    """Linear in the folds; and, up to what extrapolation misses, those of the dry fold."""
-    widths = jnp.asarray([8e-3, 4e-3, 2e-3, 1e-3])
-
-    def limit(xi):
-        return extrapolated_fold(paper_chain(n=1).with_(damping_ratio=xi), widths=widths).value
-
-    value, slope = jax.jit(jax.value_and_grad(limit))(0.05)
-    np.testing.assert_allclose(value, 1.8366, atol=3e-5)
-
-    def fold(xi, width):
-        return fold_belt_speed(paper_chain(n=1).with_(damping_ratio=xi, width=width))
-
-    folds = jax.jit(jax.vmap(fold, (None, 0)))
-    h = 1e-5
-    differences = (folds(0.05 + h, widths) - folds(0.05 - h, widths)) / (2 * h)
-    np.testing.assert_allclose(slope, extrapolate(differences, widths).value, rtol=1e-5)
-
-
-@pytest.mark.exhaustive
-def test_widths_of_every_mass():
-    """A chain with a width per mass has its value there; the limit does not depend on it."""
-    chain = paper_chain(n=2).with_(width=jnp.array([1e-3, 2e-3]), coupling=0.002)
-    found: Any = stability_range(chain, 0, error_bars=True)
-    np.testing.assert_allclose(found.fold, fold_belt_speed(chain, 0), rtol=1e-9)
-    assert abs(found.fold_limit - found.fold_dry) <= found.fold_limit_error
 
 
 @pytest.mark.long

@@ -1,14 +1,11 @@
 import jax
-import jax.numpy as jnp
 import numpy as np
 
-from jaxchain import Chain, ExponentialDecay, TanhFriction, hopf_belt_speed, paper_chain
+from jaxchain import Chain, ExponentialDecay, TanhFriction, paper_chain
 from jaxchain.cycles.averaging import (
-    cycle_speed,
     fold_guess,
     gain,
     greatest_speed,
-    one_mass,
     speed_scale,
 )
 from jaxchain.model import GaussianStribeck, TabulatedFriction
@@ -20,12 +17,6 @@ def test_the_gain_is_the_work_of_friction_and_damping_in_a_period():
     v = 1.2 * np.cos(theta)
     work = np.mean(np.asarray(chain.friction.force(v - 1.5)) * v) - 2 * 0.05 * np.mean(v**2)
     np.testing.assert_allclose(gain(chain, 0.8, 1.5), work / 1.2, atol=1e-8)
-
-
-def test_small_vibrations_live_at_the_hopf_speed():
-    chain = paper_chain(1, width=0.1)
-    speed = jax.jit(lambda chain: cycle_speed(chain, 1e-3, greatest_speed(chain)))(chain)
-    np.testing.assert_allclose(speed, hopf_belt_speed(chain), rtol=1e-5)
 
 
 def test_a_law_that_is_not_greatest_at_rest_may_vibrate_at_higher_belt_speeds():
@@ -56,15 +47,3 @@ def test_the_guess_is_near_the_fold_and_says_when_there_is_none():
     np.testing.assert_allclose([speed, scaled_peak_velocity], [1.659307, -1.8023], rtol=0.1)
     np.testing.assert_allclose(speed, 1.659307, rtol=5e-3)
     assert not bool(guess(paper_chain(1, width=0.35))[2])
-
-
-def test_one_mass_stands_for_its_place_in_the_chain():
-    law = ExponentialDecay(1.0, jnp.asarray([0.4, 0.5, 0.6]), 0.5)
-    chain = Chain(
-        3, TanhFriction(law, 0.01), 1.5, jnp.asarray([0.05, 0.06, 0.07]), 0.1,
-        normal_load=jnp.asarray([1.0, 1.1, 1.2]),
-    )  # fmt: skip
-    alone = one_mass(chain, 1)
-    numbers = alone.damping_ratio, alone.stiffness, alone.normal_load
-    np.testing.assert_allclose(jnp.stack(numbers), [0.06, 1.2, 1.1])  # pyright: ignore[reportArgumentType]
-    np.testing.assert_allclose(alone.law.mu_dynamic, 0.5)  # pyright: ignore[reportAttributeAccessIssue]

@@ -80,18 +80,6 @@ def test_cycles_of_a_family_are_not_counted():
     assert search.failures == {"not isolated": 2}
 
 
-@pytest.mark.parametrize(
-    ("guesses", "message"),
-    [
-        (8, "give `guesses` = "),
-        ((tuple(jnp.zeros((2, 4, 2))), jnp.ones(3)), "4 states, but periods of shape"),
-    ],
-)
-def test_bad_starts_are_refused(guesses, message):
-    with pytest.raises(ValueError, match=message):
-        find_limit_cycles(PAIR, guesses)
-
-
 @pytest.mark.long
 def test_a_ring_has_many_cycles_none_a_copy():
     ring = paper_chain(4, 1.5, 1e-2)

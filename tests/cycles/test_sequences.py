@@ -2,10 +2,8 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -20,23 +18,17 @@ from jaxchain import (
     continue_special,
     equation_8,
     find_limit_cycle,
-    fold_belt_speed,
     paper_chain,
     simulate,
 )
 from jaxchain.boundaries import find_special_cycle
 from jaxchain.cycles import branches
 from jaxchain.model import MechanicalCells
-from jaxchain.plotting import plot_branch
 
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
+# By shooting with SciPy, see tests/boundaries/test_grazing.py.
+DRY_FOLD = 1.836600972208
 TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
-
-
-@pytest.fixture(scope="module")
-def one_mass():
-    chain = paper_chain(1, belt_speed=0.2, width=None)
-    return chain, continue_cycle(find_limit_cycle(chain))
 
 
 def forced(frequency=0.9, force: Any = 1.5):
@@ -44,12 +36,6 @@ def forced(frequency=0.9, force: Any = 1.5):
     return MechanicalCells(
         1.0, damping=0.1, friction=Coulomb(1.0), force=force, frequency=frequency
     )
-
-
-@pytest.fixture(scope="module")
-def response():
-    cycle = find_limit_cycle(forced(), simulate(forced(), tuple(jnp.zeros((2, 1))), 300.0))
-    return cycle, continue_cycle(cycle, parameter="frequency", direction=-1, bounds=(0.7, 2.0))
 
 
 def scipy_at(model, branch, k):
@@ -60,12 +46,12 @@ def scipy_at(model, branch, k):
     return end, (high - low) / 2, releases, start
 
 
-def test_a_branch_goes_from_sticking_over_the_fold_to_the_hopf_point(one_mass):
-    """mu'(v) = -2 xi at the Hopf point: v = ln(10) / 2."""
-    chain, branch = one_mass
+def test_a_branch_goes_from_sticking_over_the_fold_to_the_hopf_point(dry_branch):
+    """The derivative of mu is -2 xi at the Hopf point: v = ln(10) / 2."""
+    branch = dry_branch
     assert [point.kind for point in branch.special] == ["grazing fold", "hopf"]
     fold, hopf = branch.special
-    assert fold.parameter == pytest.approx(float(fold_belt_speed(chain)), abs=1e-11)
+    assert fold.parameter == pytest.approx(DRY_FOLD, abs=1e-11)
     assert hopf.parameter == pytest.approx(np.log(10) / 2, abs=1e-10)
     assert fold.refined
     assert hopf.refined
@@ -80,41 +66,49 @@ def test_a_branch_goes_from_sticking_over_the_fold_to_the_hopf_point(one_mass):
     assert abs(turn - fold.index) <= 1
     assert np.all(np.diff(branch.parameter[: turn + 1]) > 0)
     assert np.all(np.diff(branch.parameter[turn + 1 :]) < 0)
+    data = branch.to_dataset()
+    assert data.special_kind.values.tolist() == ["grazing fold", "hopf"]
+    np.testing.assert_array_equal(data.stable, branch.unstable == 0)
+    assert data.attrs["ended"] == "stopped"
 
 
-@pytest.mark.parametrize("share", [0.0, 0.6, 0.93])
-def test_each_point_is_the_cycle_that_a_search_finds_and_scipy_runs(one_mass, share):
-    chain, branch = one_mass
-    k = int(share * len(branch.parameter))
-    cells = MechanicalCells(1.0, damping=0.1, friction=LAW, belt_speed=0.2)
-    end, half, _, start = scipy_at(cells, branch, k)
-    # Slip cycles multiply errors.
-    np.testing.assert_allclose(end, start, atol=1e-10)
-    np.testing.assert_allclose(half, branch.amplitude[k, 0], rtol=1e-9)
-    state = tuple(jnp.asarray(part[k]) for part in branch.state)
-    there = chain.with_(belt_speed=branch.parameter[k])
-    found = find_limit_cycle(there, (state, branch.period[k]))
-    np.testing.assert_allclose(found.period, branch.period[k], rtol=1e-11)
-    np.testing.assert_allclose(found.amplitude, branch.amplitude[k], rtol=1e-9)
-    np.testing.assert_allclose(found.multipliers, branch.multipliers[k], atol=1e-7)
+def test_each_point_is_the_cycle_that_a_search_finds_and_scipy_runs(dry_branch):
+    branch, cells = dry_branch, MechanicalCells(1.0, damping=0.1, friction=LAW, belt_speed=0.2)
+    for share in (0.0, 0.6, 0.93):
+        k = int(share * len(branch.parameter))
+        end, half, _, start = scipy_at(cells, branch, k)
+        # Slip cycles multiply errors.
+        np.testing.assert_allclose(end, start, atol=1e-10, err_msg=str(share))
+        np.testing.assert_allclose(half, branch.amplitude[k, 0], rtol=1e-9)
+        state = tuple(jnp.asarray(part[k]) for part in branch.state)
+        there = paper_chain(1, branch.parameter[k], None)
+        found = find_limit_cycle(there, (state, branch.period[k]))
+        np.testing.assert_allclose(found.period, branch.period[k], rtol=1e-11)
+        np.testing.assert_allclose(found.amplitude, branch.amplitude[k], rtol=1e-9)
+        np.testing.assert_allclose(found.multipliers, branch.multipliers[k], atol=1e-7)
 
 
-def test_a_forced_response_gains_two_stops_at_an_onset(response):
+def onset_gaps(z, force, omega):
+    """Of (x, F cos(phi), F sin(phi)) at the beginning of a half period of sliding."""
+    A = np.zeros((5, 5))  # of (x, v, F cos, F sin, 1)
+    A[0, 1], A[1] = 1.0, [-1.0, -0.1, 1.0, 0.0, 1.0]
+    A[2, 3], A[3, 2] = -omega, omega
+    y = expm(A * np.pi / omega) @ [z[0], 0.0, z[1], z[2], 1.0]
+    return [y[0] + z[0], y[1], z[1] - z[0] + 1.0, np.hypot(z[1], z[2]) - force]
+
+
+def test_a_forced_response_gains_two_stops_at_an_onset():
     """The onset from the matrix exponential; it slides for half a period up to there."""
-    cycle, branch = response
-    assert float(cycle.amplitude[0]) == pytest.approx(2.42023635, abs=5e-9)
+    period = 2 * np.pi / 0.9
+    settled, high, low, _ = Events(forced()).run([0.0, 0.0], 42 * period)
+    _, high, low, _ = Events(forced()).run(settled, period)
+    assert (high - low) / 2 == pytest.approx(2.42023635, abs=5e-9)
+    state = tuple(jnp.asarray(settled)[:, None])
+    how = {"parameter": "frequency", "direction": -1, "bounds": (0.7, 2.0)}
+    branch = continue_cycle(forced(), state, period, **how)
+    assert branch.amplitude[0, 0] == pytest.approx((high - low) / 2, abs=1e-9)
     (onset,) = branch.special
     assert onset.kind == "stick onset"
-
-    def gaps(z):  # of (x, F cos(phi), F sin(phi), omega) at the beginning of a half period
-        A, omega = np.zeros((5, 5)), z[3]  # of (x, v, F cos, F sin, 1)
-        A[0, 1], A[1] = 1.0, [-1.0, -0.1, 1.0, 0.0, 1.0]
-        A[2, 3], A[3, 2] = -omega, omega
-        y = expm(A * np.pi / omega) @ [z[0], 0.0, z[1], z[2], 1.0]
-        return [y[0] + z[0], y[1], z[1] - z[0] + 1.0, np.hypot(z[1], z[2]) - 1.5]
-
-    z: Any = fsolve(gaps, [2.0, 1.0, -1.1, onset.parameter + 1e-3], xtol=1e-13)
-    assert onset.parameter == pytest.approx(z[3], abs=1e-10)
     for k in (onset.index, -1):
         end, half, releases, start = scipy_at(forced(), branch, k)
         assert len(releases) == (0 if k == onset.index else 2)
@@ -122,8 +116,16 @@ def test_a_forced_response_gains_two_stops_at_an_onset(response):
         np.testing.assert_allclose(half, branch.amplitude[k, 0], atol=1e-9)
     assert branch.parameter[-1] == 0.7
     assert branch.ended == "left_bounds"
+    # Den Hartog's limit: it is followed in a second number.
+    curve = continue_special(onset, "force", max_points=4)
+    assert np.ptp(curve.second) > 0.01
+    for omega, force in zip(curve.first, curve.second, strict=True):
+        guess = [2.0, 1.0, -1.1, omega + 1e-3]
+        z: Any = fsolve(lambda z, F=force: onset_gaps(z[:3], F, z[3]), guess, xtol=1e-13)
+        assert omega == pytest.approx(z[3], abs=1e-9), force
 
 
+@pytest.mark.long
 def test_a_mass_that_sticks_at_phase_0_returns_after_one_period_of_the_force():
     """It is in the same state at other times of the stick, too."""
     model = forced(0.3, 1.6)
@@ -138,40 +140,49 @@ def test_a_mass_that_sticks_at_phase_0_returns_after_one_period_of_the_force():
         assert len(scipy_at(model, branch, k)[2]) == count
 
 
-def test_a_branch_ends_where_a_parameter_leaves_its_domain(one_mass):
-    cycle = find_limit_cycle(one_mass[0])
-    branch = continue_cycle(cycle, parameter="mu_dynamic", direction=-1)
+def at_start(branch, **numbers):
+    """(the model, the state and period of the first cycle of a branch)."""
+    chain = paper_chain(1, branch.parameter[0], None).with_(**numbers)
+    return chain, tuple(jnp.asarray(part[0]) for part in branch.state), branch.period[0]
+
+
+def test_a_branch_ends_where_a_parameter_leaves_its_domain_or_the_belt_stops(dry_branch):
+    start = at_start(dry_branch)
+    branch = continue_cycle(*start, parameter="mu_dynamic", direction=-1)
     assert (branch.ended, branch.parameter[-1]) == ("stopped", 0.0)
     assert "mu_dynamic = 0, the end of its domain" in branch.message
     assert np.all(np.isfinite(branch.amplitude))
-    cut = continue_cycle(cycle, parameter="mu_dynamic", direction=-1, bounds=(0.2, 1.0))
+    cut = continue_cycle(*start, parameter="mu_dynamic", direction=-1, bounds=(0.2, 1.0))
     assert (cut.ended, cut.parameter[-1]) == ("left_bounds", 0.2)
-
-
-def test_a_branch_ends_where_the_belt_stops(one_mass):
-    branch = continue_cycle(find_limit_cycle(one_mass[0]), direction=-1)
+    branch = continue_cycle(*start, direction=-1)
     assert branch.ended == "belt_speed = 0"
     assert not branch.special
     assert 0 < branch.parameter[-1] < 0.02
 
 
-def test_special_points_of_dry_branches_are_followed_and_differentiated(one_mass, response):
-    (fold, hopf), (onset,) = one_mass[1].special, response[1].special
-    curve = continue_special(fold, "damping_ratio", max_points=4)
-    for k in (0, -1):
-        there = one_mass[0].with_(damping_ratio=curve.second[k])
-        assert curve.first[k] == pytest.approx(float(fold_belt_speed(there)), abs=1e-10)
-    curve = continue_special(hopf, "damping_ratio", max_points=4)
+def test_special_points_and_events_of_ones_own_are_found_and_followed(dry_branch):
+    curve = continue_special(dry_branch.special[1], "damping_ratio", max_points=4)
     np.testing.assert_allclose(curve.first, -0.5 * np.log(2 * curve.second), atol=1e-10)
+    own = {"high": lambda c: c.amplitude[0] - 1.5, "fast": lambda c: c.multipliers[0].real - 1.8}
+    branch = continue_cycle(*at_start(dry_branch), events=own)
+    high, fast = branch.of_kind("high"), branch.of_kind("fast")
+    assert len(high) == 2  # as it sticks, and as it slides
+    for point in high:
+        np.testing.assert_allclose(point.amplitude, 1.5, atol=1e-9)
+        assert point.refined
+        assert point.error < 1e-8
+    assert fast
+    assert all(abs(point.multipliers[0] - 1.8) < 1e-6 for point in fast)
+    curve = continue_special(high[0], "damping_ratio", max_points=4)
+    assert np.ptp(curve.second) > 1e-3
+    np.testing.assert_allclose(curve.amplitude[:, 0], 1.5, atol=1e-9)
+    with pytest.raises(ValueError, match="uses more of a cycle than `state`, `period`"):
+        continue_special(fast[0], "damping_ratio")
+    with pytest.raises(ValueError, match="must have names of its own"):
+        continue_cycle(*at_start(dry_branch), events={"fold": own["high"]})
 
-    def frequency(force):
-        return find_special_cycle(onset, forced(0.9, force)).value
 
-    high, low = frequency(1.5 + 1e-5), frequency(1.5 - 1e-5)
-    slope = jax.grad(frequency)(jnp.asarray(1.5))
-    assert float(slope) == pytest.approx(float(high - low) / 2e-5, rel=1e-6)
-
-
+@pytest.mark.long
 def test_period_doublings_of_dry_cycles_are_those_of_scipy():
     """x'' + c x' - x + x^3 + mu sign x' = F cos t: 1 + tr M + det M = 0, by differences."""
     model = MechanicalCells(
@@ -183,10 +194,6 @@ def test_period_doublings_of_dry_cycles_are_those_of_scipy():
     curve = continue_special(branch.of_kind("period doubling")[0], "damping", max_points=4)
     assert curve.kind == "period doubling"
     assert len(curve.first) == 7
-    U, equations = jnp.asarray(curve.unknowns[3]), curve.equations[3]
-    slopes, value = equations.linearise(U)[1], eqx.filter_jit(equations.value)
-    near = [(value(U + step) - value(U - step)) / 2e-6 for step in 1e-6 * np.eye(U.size)]
-    np.testing.assert_allclose(slopes, np.array(near).T, rtol=1e-5, atol=1e-6)
     for k in (0, 3, -1):
 
         def run(y: Any, t0: Any, t1, force=curve.first[k], damping=curve.second[k]):
@@ -239,34 +246,22 @@ def test_tori_of_dry_cycles_have_multipliers_on_the_unit_circle():
     assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
 
 
-@pytest.mark.parametrize("width", [None, pytest.param(0.01, marks=pytest.mark.long)])
-def test_an_event_of_ones_own_is_found_followed_and_differentiated(width):
+@pytest.mark.long
+@pytest.mark.parametrize("width", [None, 0.01])
+def test_special_cycles_of_ones_own_and_onsets_have_derivatives(width):
     chain = paper_chain(1, belt_speed=1.2, width=width)
-    cycle = find_limit_cycle(chain)
-    own = {"high": lambda c: c.amplitude[0] - 1.5, "fast": lambda c: c.multipliers[0].real - 1.8}
-    branch = continue_cycle(cycle, events=own)
-    high, fast = branch.of_kind("high"), branch.of_kind("fast")
-    assert len(high) == 2  # as it sticks, and as it slides
-    for point in high:
-        np.testing.assert_allclose(point.amplitude, 1.5, atol=1e-9)
-        assert point.refined
-        assert point.error < 1e-8
-    assert all(abs(point.multipliers[0] - 1.8) < 1e-6 for point in fast)
-    curve = continue_special(high[0], "damping_ratio", max_points=4)
-    np.testing.assert_allclose(curve.amplitude[:, 0], 1.5, atol=1e-9)
+    own = {"high": lambda c: c.amplitude[0] - 1.5}
+    high = continue_cycle(find_limit_cycle(chain), events=own).of_kind("high")[0]
 
     def speed(damping):
-        return find_special_cycle(high[0], chain.with_(damping_ratio=damping)).value
+        return find_special_cycle(high, chain.with_(damping_ratio=damping)).value
 
     slope = jax.grad(speed)(jnp.asarray(0.05))
     near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
     assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
-    with pytest.raises(ValueError, match="uses more of a cycle than `state`, `period`"):
-        continue_special(fast[0], "damping_ratio")
-    with pytest.raises(ValueError, match="must have names of its own"):
-        continue_cycle(cycle, events={"fold": own["high"]})
 
 
+@pytest.mark.long
 def test_a_cell_of_two_displacements_is_scipys_along_its_branch():
     start = simulate(TWO, tuple(jnp.zeros((4, 1))), 400.0)
     branch = continue_cycle(find_limit_cycle(TWO, start), bounds=(0.3, 2.0))
@@ -295,22 +290,22 @@ def test_a_dry_branch_of_a_ring_is_the_limit_of_smoothed_ones():
     np.testing.assert_array_equal(*counts)
 
 
-def test_a_branch_ends_as_asked_and_keeps_what_it_has(one_mass, monkeypatch):
-    chain, whole = one_mass
-    cycle = find_limit_cycle(chain.with_(belt_speed=1.8), find_limit_cycle(chain))
-    some = continue_cycle(cycle, max_points=9)
+def test_a_branch_ends_as_asked_and_keeps_what_it_has(dry_branch, monkeypatch):
+    k = int(np.searchsorted(dry_branch.parameter[:20], 1.7))
+    k = min(k, dry_branch.of_kind("grazing fold")[0].index - 1)
+    chain = paper_chain(1, dry_branch.parameter[k], None)
+    start = chain, tuple(jnp.asarray(part[k]) for part in dry_branch.state), dry_branch.period[k]
+    some = continue_cycle(*start, max_points=9)
     assert (some.ended, len(some.parameter)) == ("max_points", 9)
-    assert some.of_kind("grazing fold")[0].parameter == pytest.approx(
-        whole.of_kind("grazing fold")[0].parameter, abs=1e-11
-    )
-    stopped = continue_cycle(cycle, stop=lambda p, cycle: bool(cycle.speed < 1.5))
+    assert some.of_kind("grazing fold")[0].parameter == pytest.approx(DRY_FOLD, abs=1e-11)
+    stopped = continue_cycle(*start, stop=lambda p, cycle: bool(cycle.speed < 1.5))
     assert (stopped.ended, stopped.of_kind("hopf")) == ("stopped", ())
 
     def interrupt(count, point):
         if point.extra.speed < 1.5:
             raise KeyboardInterrupt
 
-    part = continue_cycle(cycle, progress=interrupt)
+    part = continue_cycle(*start, progress=interrupt)
     assert part.ended == "interrupted"
     assert part.of_kind("grazing fold")
 
@@ -318,22 +313,5 @@ def test_a_branch_ends_as_asked_and_keeps_what_it_has(one_mass, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(branches, "change_at", pressed)  # between two sequences of phases
-    cut = continue_cycle(cycle)
+    cut = continue_cycle(*start)
     assert (cut.ended, cut.special) == ("interrupted", ())
-    turn = whole.of_kind("grazing fold")[0].index
-    np.testing.assert_allclose(cut.parameter[-1], whole.parameter[turn], atol=0.05)
-    with pytest.raises(KeyboardInterrupt):
-        continue_cycle(cycle, keep_part=False)
-    with pytest.raises(ValueError, match="must be 1 or -1 for dry friction"):
-        continue_cycle(cycle, direction="slip")
-
-
-def test_a_dry_branch_is_a_dataset_and_a_picture(one_mass):
-    _, branch = one_mass
-    data = branch.to_dataset()
-    assert data.special_kind.values.tolist() == ["grazing fold", "hopf"]
-    np.testing.assert_array_equal(data.stable, branch.unstable == 0)
-    assert data.attrs["ended"] == "stopped"
-    axes = plot_branch(data)
-    assert len(axes.lines) >= 2
-    plt.close("all")

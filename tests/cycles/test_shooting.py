@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 
 from jaxchain import Rodas5P, paper_chain
-from jaxchain.boundaries import find_fold
 from jaxchain.cycles.shooting import Shooting
 
 
@@ -32,7 +31,7 @@ def test_the_section_is_where_the_mass_has_its_greatest_velocity():
     np.testing.assert_allclose(state[1][1], 1.4 + 0.05 * np.sinh(-1.2), rtol=1e-14)
 
 
-@pytest.mark.exhaustive
+@pytest.mark.long
 def test_a_symmetric_orbit_has_fewer_unknowns():
     whole, half = shooting(), shooting(images=(0, 1, 0))
     u = jnp.asarray([0.4, -1.1, -1.2, jnp.log(6.2)])  # x_0, z_0, z_1, ln T
@@ -52,17 +51,3 @@ def test_rest_is_no_solution():
     s = problem.rest(jnp.asarray(1.4))
     u = jnp.asarray([jnp.arcsinh(0.999 * s), jnp.log(2 * jnp.pi)])
     assert float(jnp.max(jnp.abs(problem.residual(u, jnp.asarray(1.4))))) > 1e-2
-
-
-@pytest.mark.exhaustive
-def test_a_parameter_by_name_moves_the_same_equations():
-    fold = find_fold(paper_chain(1, width=0.05))
-    by_speed = shooting(n=1, mass=0)
-    chain = paper_chain(1, width=0.05).with_(belt_speed=fold.belt_speed)
-    by_damping = Shooting(
-        field=chain, rtol=1e-9, solver=Rodas5P(), mass=0, images=(0,), parameter="damping_ratio"
-    )
-    u = by_speed.pack(fold.state, fold.period, fold.belt_speed)
-    np.testing.assert_allclose(
-        by_speed.residual(u, fold.belt_speed), by_damping.residual(u, jnp.asarray(0.05)), atol=1e-9
-    )

@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from jaxchain import Rodas5P, paper_chain
 from jaxchain.cycles.variational import flow, forward_sensitivity
@@ -27,8 +26,9 @@ def end(point):
     return jnp.concatenate(flow(*make(point), **ACCURACY)[0])
 
 
-@pytest.mark.parametrize("time", [3.0, -0.5])
-def test_the_last_step_moves_with_the_time_and_all_others_with_state_and_parameter(time):
-    point, step = jnp.array([0.9, 0.3, time, 1.5]), 1e-5
-    moved = [(end(point + h) - end(point - h)) / (2 * step) for h in step * jnp.eye(4)]
-    np.testing.assert_allclose(slopes(point), jnp.stack(moved), atol=1e-9)
+def test_the_last_step_moves_with_the_time_and_all_others_with_state_and_parameter():
+    step = 1e-5
+    for time in (3.0, -0.5):
+        point = jnp.array([0.9, 0.3, time, 1.5])
+        moved = [(end(point + h) - end(point - h)) / (2 * step) for h in step * jnp.eye(4)]
+        np.testing.assert_allclose(slopes(point), jnp.stack(moved), atol=1e-9)
