@@ -7,11 +7,8 @@ import scipy.optimize
 from jax import lax
 
 from jaxchain.continuation.damped_newton import (
-    advance,
-    begin,
     factorise,
     newton,
-    newton_steps,
 )
 from jaxchain.result import SearchResult
 
@@ -114,41 +111,3 @@ def test_factors_solve_and_know_the_determinant():
         found, determinant = solved(matrix)
         np.testing.assert_allclose(found, np.linalg.solve(matrix, right))
         np.testing.assert_allclose(determinant, np.linalg.slogdet(matrix / weights))
-
-
-def test_what_is_told_besides_is_that_of_the_point_where_it_stands():
-    def cubic(u):
-        """(F, its Jacobian, further results) of u^3 = (1, 8)."""
-        value = u**3 - jnp.array([1.0, 8.0])
-        return value, factorise(jnp.diag(3.0 * u**2), jnp.ones(2)), {"square": u**2}
-
-    @jax.jit
-    def search(start):
-        first = begin(cubic, start)
-        return newton_steps(cubic, first, jnp.ones(2), lambda now: now.length > 1e-6)
-
-    lost = search(jnp.array([jnp.inf, 3.0]))  # the first evaluation fails
-    assert jnp.isnan(lost.length)
-    assert (bool(lost.refused), int(lost.evaluations)) == (True, 1)
-    found = search(jnp.array([3.0, 3.0]))
-    np.testing.assert_array_equal(found.aux["square"], found.u**2)
-    np.testing.assert_allclose(found.value, found.u**3 - np.array([1.0, 8.0]), atol=1e-14)
-    # |step| is the error that is left, to first order, and was the step before to second.
-    np.testing.assert_allclose(found.u + found.step, [1.0, 2.0], atol=1e-12)
-    assert 0 < found.length <= 1e-6
-    assert 0 < found.contraction < 1e-2
-
-
-def test_a_refused_step_is_halved_until_it_helps():
-    def far(u):
-        return jnp.arctan(u), factorise(jnp.diag(1.0 / (1.0 + u**2)), jnp.ones(1)), None
-
-    after = jax.jit(lambda now: advance(far, now, jnp.ones(1)))
-    first = after(begin(far, jnp.array([3.0])))
-    second = after(first)
-    third = after(second)
-    fourth = after(third)
-    steps = first, second, third, fourth
-    assert [bool(now.refused) for now in steps] == [False, True, True, False]
-    np.testing.assert_array_equal([second.u[0], second.damping], [3.0, 0.5])
-    np.testing.assert_allclose(fourth.u, first.u + 0.25 * first.step)
