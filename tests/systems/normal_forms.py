@@ -1,6 +1,5 @@
 """Equations F(u, p, args) = 0 with known folds and branch points, for continuation."""
 
-import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -64,16 +63,6 @@ def upright(u, p, args):
     """p = 0.3 all along x2 = sin 3 x1, in two equations that mix both."""
     off, g = p - 0.3, u[1] - jnp.sin(3 * u[0])
     return jnp.stack([g * jnp.exp(u[1]) + off * (1 + u[0] ** 2), 2 * g - off / 3 + g * off])
-
-
-def brusselator(u, b, a):
-    """Equilibrium (a, b/a), whose Jacobian, the extra, has trace 0 at b = 1 + a^2."""
-
-    def field(u):
-        x, y = u
-        return jnp.stack([a - (b + 1) * x + x**2 * y, b * x - x**2 * y])
-
-    return field(u), jax.jacfwd(field)(u)
 
 
 def logistic(u, p, args):
