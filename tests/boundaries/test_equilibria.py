@@ -125,7 +125,7 @@ def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
 
 
 def test_a_branch_of_several_masses_is_drawn_by_the_mean_in_its_units():
-    chain = paper_chain(2, belt_speed=1.0, width=1e-2)
+    chain = paper_chain(3, belt_speed=1.0, width=1e-2)
     branch = continue_equilibrium(chain, steady_sliding(chain), "belt_speed", (0.5, 2.0))
     axes = plot_branch(branch)
     assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
