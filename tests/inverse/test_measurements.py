@@ -1,4 +1,4 @@
-"""Signals against runs of the same chain; their periods, phases and likelihood."""
+"""Signals and features against runs; fits against SciPy, closed forms and linear algebra."""
 
 import re
 import warnings
@@ -9,13 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.optimize import least_squares
 
 from jaxchain import StickTime, Trajectory, find_limit_cycle, paper_chain, simulate
 from jaxchain.inverse import (
     Measurements,
     Signal,
+    identification,
     identify,
     log_likelihood,
+    measurements,
     predict,
     profile,
 )
@@ -31,81 +34,48 @@ def change(chain, theta):
     )
 
 
+def blank(what: Any = "displacement", times: Any = TIMES, **more):
+    return Signal(times, np.zeros_like(times), 1.0, what, **more)
+
+
 def shown(chain, x, v, what):
     """What a run shows, from its states."""
     if what != "friction_force":
         return x if what == "displacement" else v
-    w, law = v - float(chain.belt_speed), chain.law
-    slides = -np.sign(w) * np.asarray(law.coefficient(np.abs(w)))
+    w = v - float(chain.belt_speed)
+    if not chain.dry:
+        return np.asarray(chain.friction.force(jnp.asarray(w)))
+    slides = -np.sign(w) * np.asarray(chain.law.coefficient(np.abs(w)))
     return np.where(np.abs(w) < 1e-7, x + 2 * float(chain.damping_ratio) * v, slides)
 
 
-@pytest.mark.parametrize(
-    ("n", "what"),
-    [
-        (1, "displacement"),
-        pytest.param(1, "velocity", marks=pytest.mark.long),
-        (1, "friction_force"),
-        pytest.param(3, "displacement", marks=pytest.mark.long),
-    ],
-)
-def test_a_dry_signal_is_that_of_a_run_through_many_cycles(n, what: Any):
-    chain = paper_chain(n, belt_speed=1.5, width=None)
-    cycle, times = find_limit_cycle(chain), jnp.asarray(TIMES)
+@pytest.mark.parametrize("n", [1, pytest.param(3, marks=pytest.mark.long)])
+def test_a_dry_signal_is_that_of_a_run_through_many_cycles(n, chains):
+    chain = chains[n, None]
+    cycle = find_limit_cycle(chain)
     run = simulate(
-        chain, cycle.state, TIMES[-1] + 10.0, observe=Trajectory(times + 2.0), rtol=1e-11
+        chain, cycle.state, TIMES[-1] + 10.0, observe=Trajectory(TIMES + 2.0), rtol=1e-11
     )
     x, v = (np.asarray(part)[:, n // 2] for part in run.observed)
-    blank = Signal(times, jnp.zeros_like(times), 1.0, what)
-    found = predict(chain, blank, phase=2.0 / cycle.period)
-    np.testing.assert_allclose(found, shown(chain, x, v, what), atol=3e-7)
-
-
-def made_up(chain, seed=0, what: Any = "displacement", noise=0.01):
-    blank = Signal(TIMES, np.zeros_like(TIMES), 1.0, what)
-    values = np.asarray(predict(change(chain, TRUE), blank, phase=0.37))
-    error = noise * np.ptp(values) / 2
-    draws = np.random.default_rng(seed).standard_normal(TIMES.size)
-    return Signal(TIMES, values + error * draws, error, what)
-
-
-def test_a_signal_determines_friction_and_damping_and_its_phase():
-    signal, start = made_up(ONE), jnp.array([1.0, 0.45, 0.5, 0.04])
-    found = identify(ONE, change, start, signal, starts=3)
-    assert found.successful
-    assert np.all(np.abs(found.theta - TRUE) < 4 * found.standard_errors)
-    assert np.all(found.standard_errors < 0.3 * TRUE)
-    assert found.phase == pytest.approx(0.37, abs=2e-3)
-    assert abs(found.chi_squared - 395) < 4 * np.sqrt(2 * 395)
-    # The likelihood is greatest there, and its slope is that of differences.
-    best = log_likelihood(found.chain, signal)
-    assert best == pytest.approx(
-        np.sum(stats.norm.logpdf(found.residuals)) - TIMES.size * np.log(signal.noise[0]), abs=1e-3
-    )
-
-    def along(step):
-        return log_likelihood(change(ONE, found.theta + step * found.standard_errors), signal)
-
-    assert along(0.3) < best > along(-0.3)
-    slope = jax.jvp(along, (0.02,), (1.0,))[1]
-    np.testing.assert_allclose(slope, (along(0.0201) - along(0.0199)) / 2e-4, rtol=1e-4)
+    for what in ("displacement", "velocity", "friction_force"):
+        found = predict(chain, blank(what), phase=2.0 / cycle.period)
+        np.testing.assert_allclose(found, shown(chain, x, v, what), atol=3e-7, err_msg=what)
 
 
 @pytest.mark.parametrize("width", [None, 1e-3], ids=["dry", "smoothed"])
 def test_friction_pulls_back_a_mass_that_starts_faster_than_the_belt(width):
     chain, start = ONE.with_(width=width), (jnp.array([0.5]), jnp.array([2.0]))
-    times = jnp.linspace(0.0, 12.0, 41)
-    blank = Signal(times, jnp.zeros_like(times), 1.0, "friction_force", start=start)
-    found = predict(chain, blank)
-    assert found[0] < -0.5 < 0.5 < found[-1]
-    x, v = (np.asarray(part)[:, 0] for part in simulate(
-        chain, start, times[-1], observe=Trajectory(times), rtol=1e-11).observed)  # fmt: skip
+    record = blank("friction_force", start=start)
+    found = predict(chain, record)
+    assert found[0] < -0.5 < 0.5 < found[40]
+    run = simulate(chain, start, TIMES[-1], observe=Trajectory(TIMES), rtol=1e-11)
+    x, v = (np.asarray(part)[:, 0] for part in run.observed)
     expected = shown(chain, x, v, "friction_force")
-    if width is not None:
-        expected = np.asarray(chain.friction.force(jnp.asarray(v) - chain.belt_speed))
     np.testing.assert_allclose(found, expected, atol=1e-4 if width else 3e-7)
     with pytest.raises(ValueError, match=r"`phase` is that of a limit cycle, but is 0\.3"):
-        log_likelihood(chain, blank, phase=0.3)
+        log_likelihood(chain, record, phase=0.3)
+    with pytest.raises(ValueError, match=r"measurements\.start"):
+        predict(paper_chain(2), record)
 
 
 @pytest.mark.parametrize(
@@ -115,8 +85,7 @@ def test_a_decay_determines_friction_and_damping_and_its_start(width):
     """Beyond the fold, where there is no limit cycle: sticks, slips, and comes to rest."""
     chain, true = ONE.with_(belt_speed=1.9, width=width), (jnp.array([2.2]), jnp.array([0.2]))
     times = jnp.asarray(TIMES + 3.0)
-    blank = Signal(times, jnp.zeros_like(times), 1.0, start=true)
-    exact = predict(change(chain, TRUE), blank)
+    exact = predict(change(chain, TRUE), blank(times=times, start=true))
     run = simulate(change(chain, TRUE), true, TIMES[-1], observe=Trajectory(TIMES), rtol=1e-11)
     np.testing.assert_allclose(exact, run.observed[0][:, 0], atol=3e-7)
     draws = 0.01 * np.random.default_rng(0).standard_normal(TIMES.size)
@@ -135,18 +104,118 @@ def test_a_decay_determines_friction_and_damping_and_its_start(width):
     assert np.all(found.standard_errors < 0.02 * found.theta)
     np.testing.assert_allclose(jnp.concatenate(found.start), [2.2, 0.2], atol=0.03)
     assert abs(found.chi_squared - 396) < 4 * np.sqrt(2 * 396)
-    with pytest.raises(ValueError, match=r"measurements\.start"):
-        predict(paper_chain(2), blank)
-    # The likelihood of this start, and its slope.
     best = Signal(times, signal.values, 0.01, start=found.start)
     expected = np.sum(stats.norm.logpdf(found.residuals)) - TIMES.size * np.log(0.01)
     assert log_likelihood(found.chain, best) == pytest.approx(expected, abs=1e-6)
 
-    def along(step):
-        return log_likelihood(law(chain, found.theta + step * found.standard_errors), best)
 
-    slope = jax.jvp(along, (0.3,), (1.0,))[1]
-    np.testing.assert_allclose(slope, (along(0.3001) - along(0.2999)) / 2e-4, rtol=1e-3)
+class Closed(measurements.Waveform):
+    """A cycle in closed form, which compiles in seconds; that of a chain takes a minute."""
+
+    def __init__(self, chain: Any, mass: int, what: str):
+        self.chain, self.mass, self.what, self.cycle = chain, mass, what, None  # pyright: ignore
+        self.period = 2 * jnp.pi * (1 + chain.damping_ratio)
+        self.sound, self.slip, self.parts = jnp.asarray(True), jnp.ones(()), ()
+
+    def __call__(self, shares: Any) -> Any:
+        law, angle = self.chain.law, 2 * jnp.pi * shares
+        return 0.8 + law.v_ref * jnp.cos(angle) + law.mu_dynamic**2 * jnp.sin(2 * angle)
+
+
+def in_closed_form(theta, phase, times):
+    angle = times / (1 + theta[2]) + 2 * np.pi * phase
+    return 0.8 + theta[1] * np.cos(angle) + theta[0] ** 2 * np.sin(2 * angle)
+
+
+def three(chain, theta):
+    return chain.with_(mu_dynamic=theta[0], v_ref=theta[1], damping_ratio=theta[2])
+
+
+THREE, PHASE, FIRST = np.array([0.5, 0.6, 0.045]), 0.37, jnp.array([0.4, 0.7, 0.055])
+CLEAN = in_closed_form(THREE, PHASE, TIMES)
+NOISY = CLEAN + 0.01 * np.random.default_rng(0).standard_normal(TIMES.size)
+
+
+@pytest.fixture
+def closed(monkeypatch):
+    for module in (identification, measurements):
+        monkeypatch.setattr(module, "Waveform", Closed)
+
+
+@pytest.mark.parametrize("offset", [None, "unknown"])
+def test_the_fit_of_a_cycle_is_that_of_scipy_with_its_errors_phase_and_offset(closed, offset):
+    added = 0.0 if offset is None else 2.5
+    signal = Signal(TIMES, NOISY + added, 0.01, offset=offset)
+    found = identify(ONE, three, FIRST, signal, starts=3)
+
+    def gaps(p):
+        return (
+            in_closed_form(p[:3], p[3], TIMES) + (p[4] if offset else 0.0) - signal.values
+        ) / 0.01
+
+    first = [*THREE, PHASE, added][: 5 if offset else 4]
+    other = least_squares(gaps, first, x_scale=np.abs(first), xtol=1e-14, ftol=1e-14)
+    errors = np.sqrt(np.diag(np.linalg.inv(other.jac.T @ other.jac)))
+    assert found.successful
+    assert np.all(abs(found.theta - other.x[:3]) < 0.02 * errors[:3])
+    # Those of an unknown offset are not counted; it hardly depends on the others.
+    np.testing.assert_allclose(found.standard_errors, errors[:3], rtol=5e-3)
+    assert abs(found.phase - other.x[3]) < 0.02 * errors[3]
+    assert found.offset == pytest.approx(other.x[4] if offset else 0.0, abs=1e-4)
+    assert float(found.chi_squared) == pytest.approx(2 * other.cost, abs=1e-3)
+    # The likelihood, at the phase that fits best, is greatest there.
+    best = log_likelihood(found.chain, signal)
+    expected = np.sum(stats.norm.logpdf(found.residuals)) - TIMES.size * np.log(0.01)
+    assert best == pytest.approx(expected, abs=1e-3)
+    for step in (0.3, -0.3):
+        assert (
+            log_likelihood(three(ONE, found.theta + step * found.standard_errors), signal) < best
+        )
+    assert log_likelihood(found.chain, signal, phase=found.phase + 0.1) < best - 100
+
+
+WRONG = {
+    "right": (NOISY, None),
+    "sign": (-NOISY, "sign reversed"),
+    "unit": (3 * NOISY, "A factor of"),
+    "velocity": (np.gradient(NOISY, TIMES), 'what="velocity"'),
+    "mean removed": (NOISY - NOISY.mean(), 'offset="unknown"'),
+    "noise": (np.random.default_rng(1).standard_normal(TIMES.size), "are they noise"),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_record_is_warned_of_with_the_reason(closed, wrong):
+    values, reason = WRONG[wrong]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = identify(ONE, three, FIRST, Signal(TIMES, values, 0.01), starts=3)
+    texts = " ".join(str(warning.message) for warning in caught)
+    assert (reason in texts) if reason else not texts
+    three(ONE, found.theta)  # the constructor accepts it
+    assert found.theta[2] >= 0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [None, 1e-3], ids=["dry", "smoothed"])
+def test_a_signal_of_a_chain_determines_friction_and_damping_and_its_phase(width):
+    chain, off = ONE.with_(width=width), TRUE * jnp.array([0.95, 0.9, 0.91, 0.89])
+    values = np.asarray(predict(change(chain, TRUE), blank(), phase=0.37))
+    error = 0.005 * np.ptp(values)
+    draws = np.random.default_rng(0).standard_normal(TIMES.size)
+    signal = Signal(TIMES, values + error * draws, error)
+    found = identify(chain, change, off, signal, starts=3)
+    assert found.successful
+    assert np.all(np.abs(found.theta - TRUE) < 4 * found.standard_errors)
+    assert np.all(found.standard_errors < 0.3 * TRUE)
+    assert found.phase == pytest.approx(0.37, abs=2e-3)
+    assert abs(found.chi_squared - 395) < 4 * np.sqrt(2 * 395)
+
+    def along(step):
+        return log_likelihood(change(chain, found.theta + step * found.standard_errors), signal)
+
+    slope = jax.jvp(along, (0.02,), (1.0,))[1]
+    np.testing.assert_allclose(slope, (along(0.0201) - along(0.0199)) / 2e-4, rtol=1e-4)
 
 
 def test_the_period_of_a_signal_is_that_of_its_harmonics():
@@ -183,106 +252,53 @@ def test_features_of_a_cycle_are_those_of_a_run_with_slopes_of_differences(width
     np.testing.assert_allclose(jax.jacfwd(of)(0.05), between, rtol=1e-4, atol=1e-6)
 
 
-def test_correlated_measurements_have_the_density_of_scipy_and_the_best_fit_of_gauss():
-    draws = np.random.default_rng(0).standard_normal((50, 4))
-    correlation = np.corrcoef(draws + draws[:, :1], rowvar=False)
-    speeds, noise = [2.0, 2.5, 3.0], np.array([0.02, 0.01, 0.03, 0.01])
-    values = np.array([1.2, 0.60, 0.55, 0.52])
-    lab = Measurements(
-        hopf=(values[0], noise[0]),
-        displacements=(speeds, values[1:], noise[1:]),
-        correlation=correlation,
-    )
-
-    def change(chain, theta):
-        return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
-
-    covariance = correlation * np.outer(noise, noise)
-    density: Any = stats.multivariate_normal  # the checker takes `cov` for an integer
-    expected = density.logpdf(values, predict(ONE, lab), covariance)
-    assert log_likelihood(ONE, lab) == pytest.approx(expected, rel=1e-12)
-    with pytest.warns(UserWarning, match="contradict each other"):
-        found = identify(ONE, change, jnp.array([0.5, 0.5]), lab)
-    # At the best fit J^T C^-1 (values - predicted) is 0, and (J^T C^-1 J)^-1 the covariance.
-    slopes = jax.jacfwd(lambda theta: predict(change(ONE, theta), lab))(found.theta)
-    gaps = values - np.asarray(predict(found.chain, lab))
-    weighted = np.linalg.solve(covariance, slopes).T
-    np.testing.assert_allclose(weighted @ gaps, 0.0, atol=1e-6 * np.abs(weighted).max())
-    np.testing.assert_allclose(found.covariance, np.linalg.inv(weighted @ slopes), rtol=1e-6)
-    assert found.chi_squared == pytest.approx(gaps @ np.linalg.solve(covariance, gaps), rel=1e-9)
+# Displacements of a mass that slides steadily, for `of_sliding`: one shape, so one fit.
+SPEEDS = np.array([1.3, 1.5, 1.7, 2.5])
+FALLING = 0.5 + 0.5 * np.exp(-SPEEDS / 0.5)
+ROUGH = FALLING + 0.01 * np.array([1.0, -0.5, -1.0, 0.5])
 
 
-@pytest.mark.long
-def test_a_signal_of_a_smoothed_chain_is_fitted_or_said_not_to_be():
-    chain, off = ONE.with_(width=1e-3), TRUE * jnp.array([0.9, 1.1, 1.1, 0.9])
-    found = identify(chain, change, off, made_up(chain, 1, "velocity"))
-    assert found.successful
-    assert np.all(np.abs(found.theta - TRUE) < 4 * found.standard_errors)
-    with pytest.warns(UserWarning, match="leaves a chi"):
-        identify(chain, change, off, made_up(chain, 1, "friction_force"))
-
-
-@pytest.mark.long
-def test_a_profile_holds_the_truth_and_is_a_parabola_for_small_noise():
-    signal = made_up(ONE, 2, noise=1e-4)
-    found = identify(ONE, change, TRUE, signal)
-    for place in (0, 3):
-        own = profile(found, ONE, change, signal, place)
-        low, high = (bound[place] for bound in found.interval())
-        np.testing.assert_allclose([own.low, own.high], [low, high], rtol=1e-3)
-        rise = ((own.values - found.theta[place]) / found.standard_errors[place]) ** 2
-        assert np.all(np.abs(own.chi_squared - found.chi_squared - rise) < 0.02 * rise + 0.01)
-
-
-def test_what_the_data_do_not_tell_apart_has_no_profile():
-    lab = Measurements(hopf=(1.15, 0.01))
-
-    def both(chain, theta):
-        return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
-
-    with pytest.warns(UserWarning, match="do not determine theta"):
-        found = identify(ONE, both, jnp.array([0.5, 0.5]), lab)
-    with pytest.raises(ValueError, match="`place` = 1 must be that of a number that the data"):
-        profile(found, ONE, both, lab, 1)
-
-
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("from_start", [False, True], ids=["cycle", "start"])
-def test_intervals_of_signals_hold_the_truth_as_often_as_they_promise(from_start):
-    """Thirty records with four unknown numbers: of 30, 27 or more with a probability of 94 %."""
-    rng, covered = np.random.default_rng(3), []
-    for _ in range(30):
-        chain = ONE.with_(belt_speed=rng.uniform(1.2, 1.7))
-        true = TRUE * (1 + 0.05 * jnp.asarray(rng.uniform(-1.0, 1.0, 4)))
-        start = jnp.array([rng.uniform(0.6, 2.5)]), jnp.array([rng.uniform(-0.5, 0.5)])
-        start, near, phase = (start, tuple(y + 0.1 for y in start), None) if from_start else (
-            None, None, rng.uniform())  # fmt: skip
-        blank = Signal(TIMES, np.zeros_like(TIMES), 1.0, start=start)
-        values = predict(change(chain, true), blank, phase=phase)
-        noise = 0.01 * jnp.std(values)
-        values = values + noise * rng.standard_normal(TIMES.size)
-        signal = Signal(TIMES, values, noise, start=near)
-        found = identify(
-            chain, change, true * (1 + 0.1 * rng.standard_normal(4)), signal, starts=4
-        )
-        low, high = found.interval()
-        covered.append((low < true) & (true < high))
-    print(np.sum(covered, axis=0))
-    assert np.all(np.sum(covered, axis=0) >= 27)
-
-
-def sliding(values, noise=0.01):
+def sliding(values, noise: Any = 0.01, correlation: Any = None):
     """Displacements of a mass that slides steadily; of one shape, so that one fit is compiled."""
-    speeds = jnp.array([1.3, 1.5, 1.7, 2.5])
-    return Measurements(displacements=(speeds, values, noise))
+    correlation = np.eye(4) if correlation is None else correlation
+    return Measurements(displacements=(SPEEDS, values, noise), correlation=correlation)
 
 
 def of_sliding(chain, theta):
     return chain.with_(mu_dynamic=theta[0], v_ref=theta[1])
 
 
-FALLING = 0.5 + 0.5 * np.exp(-np.array([1.3, 1.5, 1.7, 2.5]) / 0.5)
-ROUGH = FALLING + 0.01 * np.array([1.0, -0.5, -1.0, 0.5])
+NEAR = jnp.array([0.45, 0.55])
+
+
+def test_correlated_measurements_have_the_density_of_scipy_and_the_best_fit_of_gauss():
+    draws = np.random.default_rng(0).standard_normal((50, 4))
+    correlation = np.corrcoef(draws + draws[:, :1], rowvar=False)
+    noise, values = np.array([0.02, 0.01, 0.03, 0.01]), ROUGH
+    lab = sliding(values, noise, correlation)
+    covariance = correlation * np.outer(noise, noise)
+    density: Any = stats.multivariate_normal  # the checker takes `cov` for an integer
+    expected = density.logpdf(values, FALLING, covariance)
+    assert log_likelihood(ONE, lab) == pytest.approx(expected, rel=1e-12)
+    found = identify(ONE, of_sliding, NEAR, lab)
+    # At the best fit J^T C^-1 (values - predicted) is 0, and (J^T C^-1 J)^-1 the covariance.
+    mu, v = map(float, found.theta)
+    decay = np.exp(-SPEEDS / v)
+    gaps = values - (mu + (1 - mu) * decay)
+    slopes = np.stack([1 - decay, (1 - mu) * decay * SPEEDS / v**2], axis=1)
+    weighted = np.linalg.solve(covariance, slopes).T
+    np.testing.assert_allclose(weighted @ gaps, 0.0, atol=1e-6 * np.abs(weighted).max())
+    expected = np.linalg.inv(weighted @ slopes)
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-6)
+    errors = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(found.standard_errors, errors, rtol=1e-6)
+    np.testing.assert_allclose(found.correlation, expected / np.outer(errors, errors), rtol=1e-6)
+    lower, upper = found.interval(0.9)
+    np.testing.assert_allclose((upper + lower) / 2, found.theta, rtol=1e-12)
+    np.testing.assert_allclose((upper - lower) / 2, 1.644854 * found.standard_errors, rtol=1e-6)
+    with pytest.raises(ValueError, match="`confidence` must be between"):
+        found.interval(95)
+    assert found.chi_squared == pytest.approx(gaps @ np.linalg.solve(covariance, gaps), rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -298,7 +314,7 @@ ROUGH = FALLING + 0.01 * np.array([1.0, -0.5, -1.0, 0.5])
 def test_a_fit_warns_of_its_chi_squared_and_of_the_edge_of_the_domain(lab, messages):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        found = identify(ONE, of_sliding, jnp.array([0.45, 0.55]), lab)
+        found = identify(ONE, of_sliding, NEAR, lab)
     texts = [str(warning.message) for warning in caught]
     assert len(texts) == len(messages), texts
     for text, message in zip(texts, messages, strict=True):
@@ -308,52 +324,93 @@ def test_a_fit_warns_of_its_chi_squared_and_of_the_edge_of_the_domain(lab, messa
     of_sliding(ONE, found.theta)  # the constructor accepts it
 
 
-def test_a_start_that_makes_no_chain_is_refused():
+def test_a_profile_is_that_of_all_other_numbers_fitted_anew():
+    """For each v_ref the best mu_dynamic is linear: the profile is no parabola."""
+    lab = sliding(ROUGH)
+    own = profile(identify(ONE, of_sliding, NEAR, lab), ONE, of_sliding, lab, 1, points=21)
+
+    def least(v):
+        decay = np.exp(-SPEEDS / v)
+        rest = np.linalg.lstsq((1 - decay)[:, None] / 0.01, (ROUGH - decay) / 0.01, rcond=None)[1]
+        return float(rest[0])
+
+    there = np.asarray(own.values) > 0.05
+    expected = [least(v) for v in np.asarray(own.values)[there]]
+    np.testing.assert_allclose(np.asarray(own.chi_squared)[there], expected, rtol=1e-6)
+    fine = np.linspace(own.low - 0.1, own.high + 0.1, 2001)
+    within = fine[[least(v) - float(own.least) < stats.chi2.ppf(0.95, 1) for v in fine]]
+    np.testing.assert_allclose([own.low, own.high], [within[0], within[-1]], atol=2e-3)
+
+
+def test_what_the_data_do_not_tell_apart_is_named_and_has_no_profile():
+    """v_H = v0 ln[(mu_st - mu_d) / (2 xi v0)] alone: v0 makes up for any damping."""
+    lab = Measurements(hopf=(1.15, 0.01), displacements=([5.0], [0.5], 0.01))
+
+    def law(chain, theta):
+        return chain.with_(
+            mu_dynamic=theta["mu"], damping_ratio=theta["xi"][0], v_ref=theta["xi"][1]
+        )
+
+    start = {"mu": 0.4, "xi": jnp.array([0.06, 0.5])}
+    with pytest.warns(UserWarning, match=r"theta\['xi'\]\[0\], theta\['xi'\]\[1\]"):
+        found = identify(ONE, law, start, lab)
+    assert found.determined.tolist() == [True, False, False]
+    assert float(found.standard_errors["mu"]) == pytest.approx(0.01, rel=1e-3)
+    assert np.isinf(found.standard_errors["xi"]).all()
+    assert np.isnan(found.correlation[1, 2])
+    assert float(found.condition) > 1e6
+    with pytest.raises(ValueError, match="`place` = 1 must be that of a number that the data"):
+        profile(found, ONE, law, lab, 1)
+    # Much damping: no Hopf point, so nothing to start from.
+    with pytest.raises(ValueError, match="`start` predicts no vibration"):
+        identify(ONE, law, {"mu": 0.4, "xi": jnp.array([0.8, 0.5])}, lab)
     with pytest.raises(ValueError, match=r"`start` makes no chain.*`mu_static`.*`mu_dynamic`"):
-        identify(ONE, of_sliding, jnp.array([1.2, 0.5]), sliding(ROUGH))
+        identify(ONE, law, {**start, "mu": 1.2}, lab)
 
 
-def test_an_unknown_offset_is_the_weighted_mean_of_the_gaps():
-    noise = np.array([0.1, 0.1, 0.2])
-    record = Signal([0.0, 1.0, 2.0], [3.0, 4.0, 6.0], noise, offset="unknown")
-    gaps = np.array([3.0, 4.0, 6.0]) - 1.0
-    mean = np.average(gaps, weights=noise**-2.0)
-    assert record.shift(jnp.ones(3)) == pytest.approx(mean)
-    np.testing.assert_allclose(record.gaps(jnp.ones(3)), (gaps - mean) / noise)
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("from_start", [False, True], ids=["cycle", "start"])
+def test_intervals_of_signals_hold_the_truth_as_often_as_they_promise(from_start):
+    """Thirty records with four unknown numbers: of 30, 27 or more with a probability of 94 %."""
+    rng, covered = np.random.default_rng(3), []
+    for _ in range(30):
+        chain = ONE.with_(belt_speed=rng.uniform(1.2, 1.7))
+        true = TRUE * (1 + 0.05 * jnp.asarray(rng.uniform(-1.0, 1.0, 4)))
+        start = jnp.array([rng.uniform(0.6, 2.5)]), jnp.array([rng.uniform(-0.5, 0.5)])
+        start, near, phase = (start, tuple(y + 0.1 for y in start), None) if from_start else (
+            None, None, rng.uniform())  # fmt: skip
+        values = predict(change(chain, true), blank(start=start), phase=phase)
+        noise = 0.01 * jnp.std(values)
+        values = values + noise * rng.standard_normal(TIMES.size)
+        signal = Signal(TIMES, values, noise, start=near)
+        found = identify(
+            chain, change, true * (1 + 0.1 * rng.standard_normal(4)), signal, starts=4
+        )
+        low, high = found.interval()
+        covered.append((low < true) & (true < high))
+    print(np.sum(covered, axis=0))
+    assert np.all(np.sum(covered, axis=0) >= 27)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "at least one measurement"),
+        ({"fold": ([1.8, 1.9], 0.1)}, "`fold` must hold numbers"),
+        ({"amplitudes": ([1.0], [1.0, 2.0], 0.1)}, "arrays of one length"),
+        ({"harmonics": ([1.0], np.ones((1, 40)), 0.1)}, "at most 32 harmonics, but has 40"),
+        ({"hopf": (1.15, 0.1), "correlation": np.eye(2)}, r"shape \(1, 1\).*\(2, 2\)"),
+        (
+            {"periods": ([1.0, 2.0], [6.0, 6.0], 0.1), "correlation": np.ones((2, 2))},
+            "`correlation` must be symmetric and positive definite",
+        ),
+    ],
+)
+def test_bad_measurements_are_named(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        Measurements(**arguments)
+
+
+def test_an_unknown_offset_is_a_word():
     with pytest.raises(ValueError, match="`offset` must be None or"):
         Signal([0.0, 1.0], [1.0, 2.0], 0.1, offset=0.3)
-
-
-RNG_TIMES = np.sort(np.random.default_rng(5).uniform(0.0, 100.0, 300))
-WRONG = {
-    "right": (lambda t, x, v: x, None),
-    "sign": (lambda t, x, v: -x, "sign reversed"),
-    "unit": (lambda t, x, v: 3 * x, "A factor of"),
-    "velocity": (lambda t, x, v: v, 'what="velocity"'),
-    "mean removed": (lambda t, x, v: x - x.mean(), 'offset="unknown"'),
-    "noise": (lambda t, x, v: np.random.default_rng(1).standard_normal(t.size), "are they noise"),
-}
-
-
-@pytest.mark.long
-def test_a_wrong_record_is_warned_of_with_the_reason_and_an_unknown_offset_is_found():
-    def law(chain, theta):
-        return chain.with_(mu_dynamic=theta[0], damping_ratio=theta[1], v_ref=theta[2])
-
-    true, start = np.array([0.5, 0.05, 0.5]), jnp.array([0.55, 0.045, 0.45])
-    chain, draws = paper_chain(1, belt_speed=0.8, width=None), np.random.default_rng(2)
-    blanks = [Signal(RNG_TIMES, 0 * RNG_TIMES, 1.0, what) for what in ("displacement", "velocity")]
-    x, v = (np.asarray(predict(chain, blank, phase=0.3)) for blank in blanks)
-    x, v = (y + 0.01 * draws.standard_normal(300) for y in (x, v))
-    for name, (wrong, reason) in WRONG.items():
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            found = identify(chain, law, start, Signal(RNG_TIMES, wrong(RNG_TIMES, x, v), 0.01))
-        texts = " ".join(str(warning.message) for warning in caught)
-        assert (reason in texts) if reason else not texts, (name, texts)
-        law(chain, found.theta)  # the constructor accepts it
-        assert found.theta[1] >= 0
-    record = Signal(RNG_TIMES, x - x.mean(), 0.01, offset="unknown")
-    found = identify(chain, law, start, record)
-    assert np.all(np.abs(found.theta - true) < 4 * found.standard_errors)
-    assert found.offset == pytest.approx(-x.mean(), abs=0.01)
