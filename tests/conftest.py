@@ -44,8 +44,12 @@ gc.set_threshold(100_000, 20, 20)
 # No test looks at how fine a picture is, unless it says so.
 mpl.rcParams["figure.dpi"] = mpl.rcParams["savefig.dpi"] = 50
 
-# Only modules imported after this line are checked, so no test file may come before it.
-install_import_hook("jaxchain", "beartype.beartype")
+# Only modules imported after this line are checked, so no test file may come before it. A check of
+# every call takes a tenth of the time of tracing: by default the modules that everything passes
+# through are checked, and all of them where CHECK_TYPES=all is set, as in the long run.
+EVERYTHING = os.environ.get("CHECK_TYPES") == "all"
+CHECKED = ["jaxchain.model", "jaxchain.observers", "jaxchain.continuation"]
+install_import_hook("jaxchain" if EVERYTHING else CHECKED, "beartype.beartype")
 
 import jaxchain  # noqa: E402
 
