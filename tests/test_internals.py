@@ -21,21 +21,19 @@ PRIVATE = re.compile(
 # A run of each kind, with derivatives forward.
 RUNS = """
 import jax, jax.numpy as jnp, jaxchain
-from jaxchain.observers import Amplitude
 
-def numbers(width):
+def numbers(width, solver):
     chain = jaxchain.paper_chain(2, 1.2, width)
     start = jaxchain.excited_state(chain, 1)
 
     def run(belt_speed):
         now = chain.with_(belt_speed=belt_speed)
-        done = jaxchain.simulate(now, start, 3.0, observe=Amplitude(2.0))
-        return jnp.concatenate([*done.state, done.observed])
+        return jnp.concatenate(jaxchain.simulate(now, start, 3.0, solver=solver).state)
 
     along = lambda belt_speed: jax.jvp(run, (belt_speed,), (1.0,))
     return [part.tolist() for part in jax.jit(jax.vmap(along))(jnp.array([1.1, 1.2]))]
 
-found = [numbers(0.05), numbers(None)]
+found = [numbers(0.05, jaxchain.Rodas4()), numbers(None, jaxchain.EventDriven(6))]
 """
 WITHOUT = """
 import builtins, json

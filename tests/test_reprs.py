@@ -9,6 +9,7 @@ import jaxchain
 from jaxchain import (
     Amplitude,
     Chain,
+    EventDriven,
     ExponentialDecay,
     Scales,
     SearchResult,
@@ -17,7 +18,7 @@ from jaxchain import (
     simulate,
     steady_sliding,
 )
-from jaxchain.boundaries import find_fold, stability_range
+from jaxchain.boundaries import StabilityRange, find_fold
 from jaxchain.inverse import Measurements, identify
 from jaxchain.model import DimensionalParameters, MechanicalCells, TabulatedFriction, VanDerPol
 from jaxchain.result import Outcome, Printed
@@ -136,23 +137,28 @@ def test_a_fit_prints_its_parameters_with_their_errors():
 
 
 def test_without_a_boundary_its_reason_is_printed_and_not_a_zero():
-    lines = repr(stability_range(paper_chain(1, damping_ratio=0.6))).splitlines()
+    def printed(*numbers):
+        names = ("hopf", "fold", "highest", "width")
+        values = dict(zip(names, map(jnp.asarray, numbers), strict=True))
+        return repr(StabilityRange(**values, result=SearchResult.successful, mass=0))
+
+    lines = printed(np.nan, np.nan, 0.0, 0.0).splitlines()
     assert lines[1].startswith("  hopf: none: steady sliding is stable at every belt speed")
     assert lines[2].startswith("  fold: none: damping outweighs the weakening of friction")
     assert lines[3] == "  highest: no vibration survives at any belt speed"
     assert not any("width" in line for line in lines)
-    both = repr(stability_range(paper_chain(1, damping_ratio=0.05)))
+    both = printed(1.15, 1.83, 1.83, 0.679)
     assert "none" not in both
     assert "width: 0.679" in both
 
 
 def test_notebooks_show_models_and_results_as_an_escaped_table():
-    chain = paper_chain(2, width=None)
+    chain, how = paper_chain(2, width=None), {"observe": Amplitude(), "solver": EventDriven(6)}
     for shown, part in (
         (chain, '<td style="text-align: left">1.5</td>'),
         (chain.friction, ">mu_dynamic</th>"),
         (
-            simulate(chain, steady_sliding(chain), 1.0, observe=Amplitude()),
+            simulate(chain, steady_sliding(chain), 1.0, **how),
             "Simulation: successful",
         ),
         (FOUND, "1.836612346 ± 3e-09"),

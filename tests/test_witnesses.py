@@ -1,6 +1,4 @@
-"""The two witnesses of the non-smooth chain: exact cases, energy, convergence, and each other."""
-
-from typing import Any
+"""The witness of the non-smooth chain: exact cases, energy, and the chain away from the belt."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root_scalar
-from witnesses import event_driven, numbers, numbers_of, switch_model
+from witnesses import event_driven, numbers, numbers_of
 
 from jaxchain import (
     Chain,
@@ -16,8 +14,6 @@ from jaxchain import (
     ExponentialDecay,
     TanhFriction,
     WeakeningStrengthening,
-    equation_8,
-    paper_chain,
 )
 
 # Amplitude, period and stick time of the paper's single oscillator at three belt speeds, from a
@@ -93,10 +89,9 @@ def test_a_mass_that_stops_slips_back_if_its_spring_is_just_stronger_than_fricti
         assert abs(run.x[0]) == pytest.approx(0.5 - short, abs=1e-12)
 
 
-# Inside its band the switch model does not know that friction drops when the mass slips.
-@pytest.mark.parametrize(("mu_dynamic", "band_error"), [(1.0, 1e-4), (0.6, 1e-2)])
+@pytest.mark.parametrize("mu_dynamic", [1.0, 0.6])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_slip_stick_and_slip_of_a_damped_mass_follow_the_formulas(sign, mu_dynamic, band_error):
+def test_slip_stick_and_slip_of_a_damped_mass_follow_the_formulas(sign, mu_dynamic):
     xi, k, load, mu_static, belt = 0.1, 2.0, 1.3, 1.0, 0.7
     omega, centre = np.sqrt(k - xi**2), load * mu_dynamic / k
 
@@ -131,10 +126,6 @@ def test_slip_stick_and_slip_of_a_damped_mass_follow_the_formulas(sign, mu_dynam
     np.testing.assert_allclose(run.x, run.sampled_x[-1], rtol=0, atol=1e-13)
     assert [e.kind for e in run.events] == ["stick", "backward" if sign > 0 else "forward"]
     np.testing.assert_allclose([e.time for e in run.events], [landing, release], atol=1e-12)
-
-    coarse = switch_model.integrate(chain, *start, release + 2.0, times=times, step=0.01)
-    np.testing.assert_allclose(coarse.sampled_x[:, 0], sign * exact[:, 0], atol=band_error)
-    np.testing.assert_allclose(coarse.sampled_v[:, 0], sign * exact[:, 1], atol=band_error)
 
 
 @pytest.mark.parametrize("short", [1e-9, 1e-11])
@@ -196,25 +187,6 @@ def test_there_is_no_cycle_without_a_belt_beyond_the_fold_or_without_weakening()
         assert event_driven.vibrating_cycle(chain) is None
 
 
-def test_uncoupled_masses_do_not_know_of_each_other():
-    each: list[dict[str, Any]] = [
-        {"damping_ratio": 0.05, "stiffness": 1.0, "load": 1.0},
-        {"damping_ratio": 0.02, "stiffness": 1.5, "load": 0.8},
-    ]
-    both: dict[str, Any] = {key: [each[0][key], each[1][key]] for key in each[0]}
-    x, v = np.array([2.0, -1.5]), np.array([0.0, 0.4])
-    together = event_driven.integrate(numbers(2, belt_speed=0.9, **both), x, v, 20.0)
-    pair = switch_model.integrate(numbers(2, belt_speed=0.9, **both), x, v, 5.0, step=0.01)
-    for i, own in enumerate(each):
-        start = x[i : i + 1], v[i : i + 1]
-        alone = event_driven.integrate(numbers(belt_speed=0.9, **own), *start, 20.0)
-        np.testing.assert_allclose(together.x[i], alone.x[0], rtol=0, atol=1e-12)
-        times = [e.time for e in together.events if e.mass == i]
-        np.testing.assert_allclose(times, [e.time for e in alone.events], atol=1e-12)
-        alone = switch_model.integrate(numbers(belt_speed=0.9, **own), *start, 5.0, step=0.01)
-        np.testing.assert_allclose(pair.x[i], alone.x[0], rtol=0, atol=1e-3)
-
-
 def test_the_belts_work_is_what_is_lost_and_what_is_stored():
     n, belt, coupling = 3, 0.8, 0.1
     chain = numbers(n, belt_speed=belt, coupling=coupling)
@@ -241,73 +213,6 @@ def test_the_belts_work_is_what_is_lost_and_what_is_stored():
     assert belt_work == pytest.approx(lost + stored[1] - stored[0], abs=1e-11)
 
 
-def test_mirrored_in_the_belt_everything_runs_the_other_way():
-    x, v = np.array([2.0, 0.7]), np.array([0.0, 0.3])
-    runs = [
-        event_driven.integrate(numbers(2, belt_speed=s * 1.1, coupling=0.05), s * x, s * v, 15.0)
-        for s in (1, -1)
-    ]
-    np.testing.assert_array_equal(runs[0].x, -runs[1].x)
-    other = {"stick": "stick", "forward": "backward", "backward": "forward"}
-    assert runs[0].events == [(t, i, other[kind]) for t, i, kind in runs[1].events]
-
-
-def test_a_tighter_tolerance_leaves_the_events_where_they_were():
-    chain = paper_chain(6, belt_speed=1.3)
-    x, v = (np.asarray(part) for part in equation_8(chain, 3))
-    x = x + np.linspace(0.0, 0.5, 6)  # no two events at one time, whose order would be rounding's
-    loose, tight = (
-        event_driven.integrate(numbers_of(chain), x, v, 20.0, rtol=rtol, atol=0.1 * rtol)
-        for rtol in (1e-10, 1e-13)
-    )
-    assert len(tight.events) > 10
-    assert [e[1:] for e in loose.events] == [e[1:] for e in tight.events]
-    for a, b in ((loose.x, tight.x), (loose.v, tight.v)):
-        np.testing.assert_allclose(a, b, rtol=0, atol=2e-9)
-    np.testing.assert_allclose(
-        [e.time for e in loose.events], [e.time for e in tight.events], rtol=0, atol=2e-9
-    )
-
-
-def test_the_switch_model_converges_to_the_events_with_its_step_and_its_band():
-    chain, start = numbers(belt_speed=1.0), (np.array([1.9]), np.array([0.3]))
-    exact = event_driven.integrate(chain, *start, 9.0)
-    assert [e.kind for e in exact.events] == ["stick", "backward"]
-
-    def error(step, band):
-        path = switch_model.integrate(chain, *start, 9.0, step=step, band=band)
-        return np.hypot(path.x[0] - exact.x[0], path.v[0] - exact.v[0])
-
-    steps = np.array([0.04, 0.02, 0.01])
-    by_step = [error(step, 1e-4) for step in steps]
-    assert np.polyfit(np.log(steps), np.log(by_step), 1)[0] > 1.7
-    by_band = [error(5e-3, 1e-2), error(5e-3, 1e-3), error(5e-3, 1e-4)]
-    assert by_band[0] > 5 * by_band[1] > 25 * by_band[2]
-    assert by_band[2] < 1e-4
-
-
-def test_the_switch_model_finds_the_amplitude_of_the_cycle():
-    chain = numbers(belt_speed=1.0)
-    cycle = event_driven.vibrating_cycle(chain)
-    assert cycle is not None
-    times = np.arange(0.0, 6.45, 0.01)
-    path = switch_model.integrate(
-        chain, np.array([0.9]), np.array([1.0]), 6.45, times=times, step=0.01
-    )
-    assert np.ptp(path.sampled_x) / 2 == pytest.approx(cycle.amplitude, abs=1e-3)
-
-
-def test_the_witnesses_agree_on_nine_of_twenty():
-    chain = paper_chain(20, belt_speed=1.3)
-    x, v = (np.asarray(part) for part in equation_8(chain, 9))
-    times = [2.5, 5.0, 7.5]
-    events = event_driven.integrate(numbers_of(chain), x, v, 10.0, times=times)
-    switch = switch_model.integrate(numbers_of(chain), x, v, 10.0, times=times, step=0.01)
-    assert {e.mass for e in events.events} == set(range(10, 19))
-    for a, b in zip(events[1:3] + events[4:], switch, strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-3)
-
-
 CHAINS = [
     Chain(
         3,
@@ -327,7 +232,7 @@ CHAINS = [
 
 @pytest.mark.parametrize("chain", CHAINS, ids=lambda chain: f"n={chain.n}")
 def test_away_from_the_belts_speed_a_chain_and_its_witnesses_are_the_same(chain):
-    # There tanh(w / width) is 1 to rounding, and all three solve the same equations.
+    # There tanh(w / width) is 1 to rounding, and both solve the same equations.
     x, v = np.linspace(0.5, -0.2, chain.n), np.linspace(-0.1, 0.1, chain.n)
     field = jax.jit(lambda y: jnp.concatenate(chain(0.0, (y[: chain.n], y[chain.n :]))))
     start = np.concatenate([x, v])
@@ -337,6 +242,4 @@ def test_away_from_the_belts_speed_a_chain_and_its_witnesses_are_the_same(chain)
     own = path.y[:, -1]
     assert np.abs(own[chain.n :] - float(chain.belt_speed)).min() > 0.02
     events = event_driven.integrate(numbers_of(chain), x, v, 0.5)
-    switch = switch_model.integrate(numbers_of(chain), x, v, 0.5, step=2e-3)
     np.testing.assert_allclose(np.concatenate([events.x, events.v]), own, rtol=0, atol=1e-10)
-    np.testing.assert_allclose(np.concatenate(switch[:2]), own, rtol=0, atol=1e-5)

@@ -44,6 +44,7 @@ def check(path, names):
     return table
 
 
+@pytest.mark.long
 def test_a_quick_run_prints_and_writes_what_it_measured(tmp_path):
     printed = run("size", "gpu", "--page", str(tmp_path / "page.json"))
     table = check(tmp_path / "page.json", {"size", "gpu"})

@@ -1,11 +1,11 @@
-"""Two independent, slow and simple solvers of the non-smooth chain, to hold the package against.
+"""Independent, slow and simple solvers, to hold the package against.
 
     x_n'' + 2 xi_n x_n' + k_n x_n + springs = p_n F(w_n),    w_n = x_n' - v_d
     slip  (w != 0):  F = -mu(|w|) sign(w)
     stick (w = 0):   |F| <= mu_st, whatever holds the mass on the belt
 
-Here are only the numbers of a chain. Each witness forms the equations of motion from them in its
-own way, and neither uses anything of `jaxchain`.
+Here are only the numbers of a chain. A witness forms the equations of motion from them in its own
+way, and uses nothing of `jaxchain`.
 """
 
 from __future__ import annotations
