@@ -1,18 +1,30 @@
-"""The table function x model: the same mass as a chain and as cells, dry and smoothed, and forced.
+"""The table function x model: what every function says of every model.
+
+First the same mass as a chain and as cells, dry and smoothed, and forced:
 
 x'' + 0.1 x' + k x = F(x' - v_d) + f cos(omega t), F = -mu(|w|) sign(w) or -mu(|w|) tanh(w / eps),
 mu(s) = 0.5 + 0.5 exp(-s / 0.5).  The witness is SciPy, which stops at every event.
+
+Then every public function of a chain, dry and with a narrow width, which answer alike within what
+the width costs; or it says in words what to do with a dry chain.
 """
 
 import functools
+import importlib
+import inspect
+import re
+from typing import ClassVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
+from synthetic import cycle_branch
 
+import jaxchain as jc
 from jaxchain import (
     Amplitude,
     Chain,
@@ -25,9 +37,21 @@ from jaxchain import (
     simulate,
     sweep,
     verdict,
-)
+)  # fmt: skip
+from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
 from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
-from jaxchain.model import MechanicalCells
+from jaxchain.model import (
+    AbstractCells,
+    AbstractFrictionLaw,
+    AbstractModel,
+    AbstractOscillators,
+    MechanicalCells,
+)  # fmt: skip
+from jaxchain.observers import AbstractObserver, Divergence, Variable
+from jaxchain.plotting.motions import loop, sticking
+from jaxchain.simulation.method import fit_linear_solve
+from jaxchain.solvers import AbstractStructuredRosenbrock
+from jaxchain.solvers.rosenbrock import RODAS4, RODAS5P
 
 LAW, WIDTH, SPEED = ExponentialDecay(1.0, 0.5, 0.5), 1e-2, 1.3
 FORCE, FREQUENCY = 1.5, 0.7
@@ -98,26 +122,44 @@ def friction_force(name):
 
 @functools.cache
 def cycle_of(name):
-    model, forced = MODELS[name], "forced" in name
-    start = simulate(model, START, 20 * 2 * np.pi / FREQUENCY if forced else 200.0)
-    return find_limit_cycle(model, start)
+    start, _, _ = by_scipy(name, 20 * 2 * np.pi / FREQUENCY)
+    return find_limit_cycle(MODELS[name], tuple(jnp.array([part]) for part in start))
 
 
-def at_the_end(model, **how):
-    return jnp.concatenate(simulate(model, START, END, rtol=1e-10, **how).state)
+@functools.cache
+def run_of(name):
+    """The end and what is observed, and its slopes; one program for all numbers of the model."""
+    of = "damping_ratio" if "chain" in name else "damping"
+    watch = Amplitude(1.0), StickTime()
+
+    @jax.jit
+    def run(model):
+        def ends(damping):
+            own = model.with_(**{of: damping})
+            done = simulate(own, START, END, rtol=1e-10, observe=watch)
+            return jnp.concatenate(done.state), done.observed
+
+        return jax.jvp(ends, (getattr(model, of),), (jnp.ones(()),))
+
+    return run
 
 
 def simulates(name, model):
-    y, _, _ = by_scipy(name)
-    np.testing.assert_allclose(at_the_end(model), y, atol=1e-7)
+    (end, (_, stuck)), _ = run_of(name)(model)
+    y, expected, _ = by_scipy(name)
+    np.testing.assert_allclose(end, y, atol=1e-7)
+    if "smoothed" in name:
+        _, expected, _ = by_scipy(name.replace("smoothed", "dry"))
+    # A smoothed mass is released later and slower, by times of the order of its width.
+    assert float(stuck[0]) == pytest.approx(expected, abs=0.15 if not model.dry else 1e-8)
+    assert expected > 0.5
 
 
 def differentiates(name, model):
-    of, factor = ("damping_ratio", 0.5) if "chain" in name else ("damping", 1.0)
-    number = getattr(model, of)
-    slope = jax.jacfwd(lambda d: at_the_end(model.with_(**{of: d})))(number) * factor
+    _, (slope, _) = run_of(name)(model)
     high, low = (by_scipy(name, damping=d)[0] for d in (0.1 + 1e-5, 0.1 - 1e-5))
-    np.testing.assert_allclose(slope, (high - low) / 2e-5, atol=2e-5)
+    factor = 0.5 if "chain" in name else 1.0
+    np.testing.assert_allclose(slope * factor, (high - low) / 2e-5, atol=2e-5)
 
 
 def finds_a_cycle(name, model):
@@ -186,14 +228,6 @@ def finds_exponents(name, model):
     assert last == -np.inf if model.dry else last < -1.0
 
 
-def knows_how_long_a_mass_sticks(name, model):
-    run = simulate(model, START, END, rtol=1e-10, observe=StickTime())
-    _, stuck, _ = by_scipy(name.replace("smoothed", "dry"))
-    # A smoothed mass is released later and slower, by times of the order of its width.
-    assert float(run.observed[0]) == pytest.approx(stuck, abs=0.15 if not model.dry else 1e-8)
-    assert stuck > 0.5
-
-
 def picks_a_width(name, model):
     if model.dry:
         with pytest.raises(ValueError, match="dry friction"):
@@ -211,10 +245,10 @@ def sweeps_over_the_stiffness(name, model):
     watch = Amplitude(1.0)
     data = sweep(model, START, END, over={"stiffness": values}, observe=watch, rtol=1e-10)
     for k, stiffness in enumerate(values):
-        run = simulate(model.with_(stiffness=stiffness), START, END, observe=watch, rtol=1e-10)
+        (end, (amplitude, _)), _ = run_of(name)(model.with_(stiffness=stiffness))
         y, _, _ = by_scipy(name, stiffness=stiffness)
-        np.testing.assert_allclose(np.ravel(run.state), y, atol=1e-7)
-        np.testing.assert_allclose(data.amplitude[k], run.observed, rtol=1e-8)
+        np.testing.assert_allclose(end, y, atol=1e-7)
+        np.testing.assert_allclose(data.amplitude[k], amplitude, rtol=1e-8)
 
 
 def is_judged(name, model):
@@ -222,18 +256,756 @@ def is_judged(name, model):
     assert verdict(model, tuple(jnp.array([a]) for a in start)).verdict == "periodic"
 
 
+# In the default run. Other tests hold chains to all of these, and dry cells to what concerns
+# cycles: tests/cycles/test_dry_cells.py.
+QUICK = {
+    "cells, dry": (simulates, differentiates, finds_an_equilibrium, finds_the_hopf_point,
+                   picks_a_width),
+    "cells, smoothed": (simulates, differentiates, finds_a_cycle, finds_exponents, picks_a_width),
+    "cells, dry, forced": (simulates, differentiates, finds_an_equilibrium, finds_the_hopf_point,
+                           sweeps_over_the_stiffness),
+}  # fmt: skip
 FUNCTIONS = (
     simulates, differentiates, finds_a_cycle, continues_a_cycle, finds_an_equilibrium,
-    finds_the_hopf_point, finds_exponents, knows_how_long_a_mass_sticks, picks_a_width,
-    sweeps_over_the_stiffness, pytest.param(is_judged, marks=pytest.mark.long),
+    finds_the_hopf_point, finds_exponents, picks_a_width, sweeps_over_the_stiffness, is_judged,
 )  # fmt: skip
+TABLE = [
+    pytest.param(
+        function, name, marks=() if function in QUICK.get(name, ()) else pytest.mark.long,
+        id=f"{function.__name__}-{name}",
+    )
+    for name in MODELS
+    for function in FUNCTIONS
+]  # fmt: skip
 
 
-# Other tests hold chains to all of these.
-NAMES = [pytest.param(n, marks=pytest.mark.long if "chain" in n else ()) for n in MODELS]
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("function", FUNCTIONS, ids=lambda f: f.__name__)
+@pytest.mark.parametrize(("function", "name"), TABLE)
 def test_every_function_works_for_every_model(function, name):
     function(name, MODELS[name])
+
+
+NARROW = 1e-4
+ONE, THREE = jc.paper_chain(1, width=None), jc.paper_chain(3, width=None)
+SPEEDS = np.array([1.4, 1.5])
+RING = jc.paper_chain(12, belt_speed=1.05, width=None)
+
+
+def damped(chain, xi):
+    return chain.with_(damping_ratio=xi)
+
+
+def lab(chain):
+    return jc.inverse.Measurements(hopf=(1.15, 0.01), fold=(1.84, 0.01))
+
+
+def cycle(chain, kind="stable"):
+    found = jc.find_limit_cycle(chain, branch=kind)
+    return found.period, found.amplitude, found.energy, jnp.abs(found.multipliers)
+
+
+def edge(chain):
+    starts = (jc.excited_state(chain, 1, amplitude=pull) for pull in (0.5, 2.5))
+    how = {"time": 200.0, "near": 1e-8, "far": 1e-6, "tolerance": 1e-7, "rtol": 1e-9}
+    found = jc.basins.edge_state(chain, *starts, **how)
+    return found.amplitude, found.period
+
+
+def run(chain, start=None, **how):
+    observe = jc.Amplitude(window=15.0), jc.StickTime()
+    start = start or jc.equation_8(chain, 1)
+    found = jc.simulate(chain, start, 30.0, observe=observe, **how)
+    return found.observed, found.state
+
+
+def motion(chain):
+    """Amplitudes of a film that closes, and how much of it its mass sticks."""
+    times, (x, v) = loop(chain, jc.find_limit_cycle(chain).state, frames=64)
+    sticks = sticking(chain, (x, v))
+    # One frame of 64 more or less.
+    return np.ptp(x), times[-1], np.round(sticks.mean(), 1)
+
+
+def small_verdict(chain):
+    found = jc.verdict(
+        chain, jc.excited_state(chain, 1), rtol=1e-6 if chain.dry else 1e-7, seeds=1,
+        noise=(1e-6,), first=500.0, longest=500.0, exponent_time=50.0,
+    )  # fmt: skip
+    assert found.verdict == "periodic"
+    return found.runs[0].period
+
+
+def exponents(chain):
+    start = jc.find_limit_cycle(chain).state
+    return jc.lyapunov_spectrum(chain, start, 60.0, count=1, blocks=4).exponents
+
+
+def near_hopf(chain):
+    own = chain.with_(belt_speed=1.17)
+    point = jc.boundaries.find_hopf_point(own, "belt_speed")
+    found = jc.find_limit_cycle(own, point.guess(0.27))
+    return found.period, found.amplitude, jnp.abs(found.multipliers)
+
+
+# Name: what is computed of a chain, and by how much of itself a width of 1e-4 may move it.
+CHEAP = {
+    "steady_sliding": (THREE, jc.steady_sliding, 1e-12),
+    "excited_state": (THREE, lambda chain: jc.excited_state(chain, 2), 1e-12),
+    "equation_8": (THREE, lambda chain: jc.equation_8(chain, 2), 1e-12),
+    "equation_10": (jc.paper_chain(width=None), lambda c: jc.equation_10(c, 2), 1e-12),
+    "on_the_belt": (THREE, jc.model.on_the_belt, 1e-12),
+    "release_state": (THREE, lambda chain: jc.model.release_state(chain, 2), 1e-12),
+    "stiffness_matrix": (THREE, jc.model.stiffness_matrix, 0.0),
+    "sliding_damping": (THREE, lambda c: jc.model.sliding_damping(c, c.belt_speed), 1e-12),
+    "sliding_eigenvalues": (
+        THREE, lambda c: jnp.sort(jc.model.sliding_eigenvalues(c, c.belt_speed)), 1e-10,
+    ),
+    "growth_rate": (THREE, lambda c: jc.model.growth_rate(c, c.belt_speed), 1e-12),
+    "mistuned_chain": (THREE, lambda c: jc.localization.mistuned_chain(c, 3, 0.1).stiffness, 0.0),
+    "linear_modes": (THREE, lambda c: jc.localization.linear_modes(c).frequency, 0.0),
+    "choose_numerics": (THREE, lambda c: jc.simulation.choose_numerics(c, 1e-2).width, 1e-12),
+    "hopf_belt_speed": (THREE, jc.hopf_belt_speed, 1e-12),
+}  # fmt: skip
+LONG = {
+    "hopf_points": (THREE, lambda c: jc.boundaries.hopf_points(c, (0.5, 3.0)).belt_speed, 1e-12),
+    "complex_modes": (THREE, lambda c: jc.boundaries.complex_modes(c).eigenvalues, 1e-12),
+    "find_equilibrium": (THREE, lambda c: jc.boundaries.find_equilibrium(c).state, 1e-12),
+    "find_hopf_point": (
+        THREE, lambda c: jc.boundaries.find_hopf_point(c, "belt_speed").value, 1e-12,
+    ),
+    "continue_equilibrium": (
+        THREE,
+        lambda c: jc.boundaries.continue_equilibrium(
+            c, None, "belt_speed", (1.0, 1.6)
+        ).of_kind("hopf")[0].p,
+        1e-9,
+    ),
+    "find_hopf_point criticality": (
+        THREE,
+        lambda c: jc.boundaries.find_hopf_point(c, "belt_speed").lyapunov_coefficient,
+        1e-9,
+    ),
+    "cycle_symmetry": (
+        THREE,
+        lambda c: jnp.asarray(jc.cycles.cycle_symmetry(c, jc.steady_sliding(c), 6.0).images),
+        0,
+    ),
+    "simulate": (THREE, run, 5e-3),
+    "sweep": (
+        THREE,
+        lambda c: jc.sweep(
+            c, jc.excited_state(c, 1), 30.0, over={"belt_speed": SPEEDS}
+        ).energy.values,
+        5e-3,
+    ),
+    "find_limit_cycle": (ONE, cycle, 2e-3),
+    "find_limit_cycle unstable": (ONE, lambda c: cycle(c, "unstable"), 1e-8),
+    "continue_cycle": (
+        ONE,
+        lambda c: jc.continue_cycle(
+            jc.find_limit_cycle(c, branch="unstable"), direction=-1
+        ).of_kind("hopf")[0].parameter,
+        1e-8,
+    ),
+    "guess_from_simulation": (
+        ONE, lambda c: jc.cycles.guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
+    ),
+    "find_limit_cycle near Hopf": (ONE, near_hopf, 1e-8),
+    "edge_state": (ONE, edge, 1e-6),
+    "loop": (ONE, motion, 5e-3),
+    "fold_belt_speed": (ONE, jc.fold_belt_speed, 1e-3),
+    "find_fold": (ONE, lambda c: jc.find_fold(c).period, 1e-3),
+    "extrapolated_fold": (ONE, lambda c: jc.boundaries.extrapolated_fold(c).value, 1e-12),
+    "stability_range": (
+        ONE, lambda c: jc.boundaries.stability_range(c, error_bars=True), 3e-3
+    ),
+    "hopf_by_descent": (ONE, lambda c: jc.boundaries.hopf_by_descent(c).belt_speed, 1e-9),
+    "lyapunov_spectrum": (ONE, exponents, None),
+    "verdict": (ONE, small_verdict, 1e-3),
+    "front_speed": (
+        RING,
+        lambda c: jc.localization.front_speed(
+            c, jc.excited_state(c, 4, block="centred"), 100.0, windows=5
+        ).fronts.count[jnp.array([0, -1])],  # when a mass joins, they need not agree
+        1e-12,
+    ),
+    "basin_shares": (
+        ONE, lambda c: jc.basins.basin_shares(
+            c, jc.basins.Box(), half_width=0.2, replicates=4, t1=200.0, checked=0
+        ).share.values,
+        0.02,
+    ),
+    "monodromy_matrix": (
+        ONE, lambda c: jc.monodromy_matrix(c, (jnp.full(1, 0.6), jnp.zeros(1)), 6.0), 1e-7
+    ),
+    "sliding_share": (ONE, jc.basins.sliding_share, 1e-9),
+    "sliding_basin": (ONE, lambda c: jc.basins.sliding_basin(c).period, 1e-9),
+    "blow_of_one_mass": (ONE, jc.basins.blow_of_one_mass, 1e-9),
+    "gentlest_blow": (ONE, lambda c: jc.basins.gentlest_blow(c).size, 1e-8),
+    "gentlest_blow chain": (
+        THREE.with_(belt_speed=1.6), lambda c: jc.basins.gentlest_blow(c).kick, 1e-4
+    ),
+    "predict": (ONE, lambda c: jc.inverse.predict(c, lab(c)), 1e-3),
+    "log_likelihood": (ONE, lambda c: jc.inverse.log_likelihood(c, lab(c)) / 10, 1e-2),
+    "identify": (ONE, lambda c: jc.inverse.identify(c, damped, 0.06, lab(c)).theta, 1e-2),
+    "design": (
+        ONE, lambda c: jc.inverse.design(c, damped, 0.05, highest_below=1.7, steps=3).costs, 0.1
+    ),
+}  # fmt: skip
+# Of these others of the table are made, or their only part of friction is.
+ELSEWHERE = {
+    "verdicts": "verdict", "depinning_belt_speed": "front_speed", "profile": "identify",
+}  # fmt: skip
+
+
+def c_start(chain):
+    return jc.model.release_state(chain, 0)
+
+
+def film(chain):
+    return loop(chain, c_start(chain), solver=jc.Rodas4())
+
+
+# For smoothed friction alone: with a dry chain, the words that say what to do.
+REFUSED = {
+    "simulate": (lambda c: jc.simulate(c, c_start(c), 1.0, solver=jc.Rodas4()), "leave out"),
+    "simulate accuracy": (lambda c: jc.simulate(c, c_start(c), 1.0, accuracy=0.1), "give `rtol`"),
+    "sweep": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"belt_speed": [1.0]}, solver=jc.Rodas4()),
+        "leave out `solver`",
+    ),
+    "sweep accuracy": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"belt_speed": [1.0]}, accuracy=0.1),
+        "give `rtol`",
+    ),
+    "sweep width": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"width": [0.1]}), "to sweep `width`"
+    ),
+    "liouville_determinant": (
+        lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
+    ),
+    "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
+    "find_special_cycle": (
+        lambda c: jc.boundaries.find_special_cycle(cycle_branch(1).special[0], c),
+        "give it a width",
+    ),
+    "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_fold`"),
+    "phase_model": (
+        lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None)), "give it a width"
+    ),
+    "lyapunov_spectrum": (
+        lambda c: jc.lyapunov_spectrum(c, c_start(c), 9.0, solver=jc.Rodas4()), "leave out"
+    ),
+    "verdict": (lambda c: jc.verdict(c, c_start(c), solver=jc.Rodas4()), "leave out `solver`"),
+    "loop": (film, "leave out `solver`"),
+}  # fmt: skip
+
+
+def numbers(found):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(found, eqx.is_array_like))]
+
+
+def compare(case):
+    chain, function, tolerance = case
+    dry, smoothed = (numbers(function(own)) for own in (chain, chain.with_(width=NARROW)))
+    assert dry
+    for a, b in zip(dry, smoothed, strict=True):
+        assert np.isfinite(a).all() == np.isfinite(b).all()
+        if tolerance is not None:
+            np.testing.assert_allclose(a, b, rtol=tolerance, atol=max(tolerance, 1e-13))
+
+
+def test_no_public_function_of_a_chain_is_forgotten():
+    cases = {name.split()[0] for name in (*CHEAP, *LONG, *REFUSED, *ELSEWHERE)}
+    submodules = [
+        jc,
+        *(getattr(jc, submodule) for submodule in jc.SUBMODULES if submodule != "plotting"),
+    ]
+    public = [
+        getattr(submodule, name)
+        for submodule in submodules
+        for name in getattr(submodule, "__all__", ())
+    ]
+    functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
+    taking = {
+        f.__name__
+        for f in functions
+        for name, of in inspect.signature(f).parameters.items()
+        if name in ("chain", "model") and not re.search("PhaseModel|str", str(of.annotation))
+    }
+    assert taking <= cases
+
+
+@pytest.mark.parametrize("name", CHEAP)
+def test_both_kinds_of_friction_are_served(name):
+    compare(CHEAP[name])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", LONG)
+def test_both_kinds_of_friction_are_served_by_what_takes_longer(name):
+    compare(LONG[name])
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_needs_a_width_says_what_to_do_without_one(name):
+    function, words = REFUSED[name]
+    with pytest.raises(ValueError, match="dry friction") as caught:
+        function(ONE)
+    assert words in str(caught.value)
+    assert re.search(r"`(chain|model)\.with_\(width=1e-3\)`", str(caught.value))
+
+
+MODULES = (jc, *(importlib.import_module(f"jaxchain.{submodule}") for submodule in jc.SUBMODULES))
+PUBLIC = {getattr(module, name) for module in MODULES for name in getattr(module, "__all__", ())}
+# Only raised, and caught by their kind: nothing calls a method of theirs.
+CLASSES = sorted(
+    (c for c in PUBLIC if inspect.isclass(c) and not issubclass(c, BaseException)),
+    key=lambda c: c.__name__,
+)
+OPEN = [c for c in CLASSES if c.__name__.startswith("Abstract") and c is not AbstractModel]
+HONOURED: dict[type, set[str]] = {}
+
+
+def names_of(cls):
+    """What stands in a class, by this package and by diffrax, and does not begin with _."""
+    bases = [c for c in cls.__mro__ if c.__module__.split(".")[0] in ("jaxchain", "diffrax")]
+    names = {name for c in bases for name in (*vars(c), *vars(c).get("__annotations__", {}))}
+    return {name for name in names if not name.startswith("_")} - {"model_config"}
+
+
+def define(cls, **names):
+    return type(cls)("Mine", (cls,), {"__module__": __name__, "__qualname__": "Mine", **names})
+
+
+def honours(cls, *names):
+    """Marks a test that sees the overrides of these names, in all that takes such a class."""
+    HONOURED.setdefault(cls, set()).update(names)
+    return lambda test: test
+
+
+@pytest.mark.parametrize("cls", [jc.Chain, MechanicalCells, jc.TanhFriction])
+def test_a_concrete_class_is_final(cls):
+    for name in names_of(cls) or {"anything"}:
+        with pytest.raises(TypeError, match=rf"`Mine` cannot be a subclass of `{cls.__name__}`"):
+            define(cls, **{name: lambda self: 1.0})
+
+
+@pytest.mark.parametrize("cls", OPEN)
+def test_a_method_of_an_abstract_class_is_honoured_or_final(cls):
+    honoured = set().union(*(HONOURED.get(c, set()) for c in cls.__mro__))
+    assert honoured & names_of(cls)
+    for name in names_of(cls) - honoured:
+        # A subclass of a class of the user's is no other.
+        for base in (cls, define(cls)):
+            with pytest.raises(TypeError, match=rf"Class `Mine` defines `{name}`, which some"):
+                define(base, **{name: lambda self: 1.0})
+
+
+def test_the_error_names_the_class_to_subclass_instead():
+    for cls, instead in {
+        jc.Chain: "`jaxchain.model.AbstractOscillators` for other forces, or",
+        jc.TanhFriction: "subclass `jaxchain.model.AbstractFrictionLaw`",
+        MechanicalCells: "subclass `jaxchain.model.AbstractCells`",
+    }.items():
+        with pytest.raises(TypeError, match=instead):
+            define(cls)
+
+
+# In runs, sweeps, folds and gradients: tests/test_custom_laws.py.
+honours(AbstractFrictionLaw, "mu_static", "coefficient", "knots")
+# In runs, cycles, branches and exponents: tests/test_local_force.py.
+honours(AbstractOscillators, "springs", "local_force", "stiffness_diagonal")
+
+
+def test_functions_for_a_belt_refuse_other_forces():
+    start = jnp.ones(1), jnp.ones(1)
+    for use in (
+        jc.hopf_belt_speed, jc.fold_belt_speed, jc.find_fold,
+        lambda field: jc.sweep(field, jc.equation_8, 20.0, over={"excited": [1]}),
+        lambda field: jc.simulate(field, start, 1.0, solver=jc.EventDriven()),
+    ):  # fmt: skip
+        with pytest.raises((ValueError, TypeError), match=r"\bChain\b"):
+            use(Slow())
+
+
+class Slow(AbstractOscillators):
+    """A free mass that defines only the required methods."""
+
+    springs: None = None
+
+    def local_force(self, t, x, v):
+        return 0.0 * v
+
+    def stiffness_diagonal(self, n):
+        return 1.0
+
+
+class TwoWells(AbstractCells):
+    n = 3
+    components = ("x", "v")
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, x - x**3 - 0.1 * v
+
+    def equilibrium(self):
+        return jnp.full(3, 0.8), jnp.zeros(3)
+
+
+@honours(AbstractModel, "n", "equilibrium")
+def test_the_number_of_cells_and_the_equilibrium_of_a_model_are_used():
+    with pytest.raises(ValueError, match="but for 3 masses must be"):
+        jc.simulate(TwoWells(), (jnp.ones(2), jnp.ones(2)), 1.0)
+    assert find_equilibrium(TwoWells()).state[0] == pytest.approx(1.0)  # not that at 0
+
+
+class Told(Slow):
+    def switching(self, t, v):
+        return v - 1.0, jnp.asarray(0.5)
+
+    def stick_speed(self):
+        return jnp.asarray(0.5)
+
+    def excess_force(self, t, left, own, right):
+        return -own[0]
+
+    def belt_direction(self):
+        return -1.0
+
+    def growth_time(self):
+        return 0.01
+
+    def divergence(self, t, y):
+        return jnp.asarray(7.0)
+
+
+class Weighted(Slow):
+    acceleration: float = 1e9
+
+    def switching(self, t, v):
+        return v, jnp.asarray(0.5)
+
+    def release_acceleration(self):
+        return self.acceleration
+
+
+@pytest.mark.long
+@honours(
+    AbstractOscillators, "switching", "stick_speed", "excess_force", "belt_direction",
+    "growth_time", "release_acceleration", "divergence",
+)  # fmt: skip
+def test_optional_methods_of_a_field_are_used():
+    start = jnp.zeros(1), jnp.ones(1)  # x = sin t, v = cos t
+    section = jc.Section(0, 1, of="velocity")
+    observe = jc.StickTime(), section, Divergence()
+    run = jc.simulate(Told(), start, 2 * np.pi, observe=observe, rtol=1e-8)
+    stick, (times, *_), rate = run.observed
+    # v > 0.5 until t = pi / 3, with x > 0; from 5 pi / 3 on x < 0: not held.
+    assert stick[0] == pytest.approx(np.pi / 3, abs=1e-4)
+    assert times[0] == pytest.approx(np.pi, abs=1e-4)  # the least velocity
+    assert rate == pytest.approx(14.0 * np.pi)
+    assert run.steps >= 600
+    # It leaves the belt at t = 1 or so: with a greater weight its error asks for more steps.
+    heavy = jc.simulate(Weighted(), start, 2 * np.pi, rtol=1e-8)
+    assert (
+        heavy.steps
+        > jc.simulate(Weighted(acceleration=0.0), start, 2 * np.pi, rtol=1e-8).steps + 10
+    )
+    plain = jc.simulate(Slow(), start, 2 * np.pi, observe=(section, Divergence()), rtol=1e-8)
+    assert plain.observed[1] == 0.0
+    assert plain.steps < 300
+    assert not np.isclose(plain.observed[0][0][0], np.pi, atol=1.0)
+
+
+class Swing(AbstractOscillators):
+    """Driven by a force of period 2."""
+
+    springs: None = None
+
+    def local_force(self, t, x, v):
+        return jnp.cos(jnp.pi * t) - 0.5 * v
+
+    def stiffness_diagonal(self, n):
+        return 1.0
+
+    def forcing_period(self):
+        return 2.0
+
+
+class Mass(AbstractCells):
+    """x'' = -x with a weak spring to both neighbours; equal masses do not stretch it."""
+
+    def rate(self, t, left, own, right):
+        x, v = own
+        return v, -x + 0.1 * (left[0] - 2.0 * x + right[0])
+
+
+class Driven(Mass):
+    def forcing_period(self):
+        return 2.0
+
+
+class Row(Mass):
+    ends = "free"
+    components = ("x", "speed")
+
+
+class Switching(Mass):
+    """Everything optional; as numbers, so that all of its runs are one program."""
+
+    direction: jax.Array
+    growth: jax.Array
+    at: jax.Array
+    width: jax.Array
+    acceleration: jax.Array
+    contact = 0
+
+    def switching(self, t, v):
+        return v - self.at, self.width
+
+    def belt_direction(self):
+        return self.direction
+
+    def growth_time(self):
+        return self.growth
+
+    def release_acceleration(self):
+        return self.acceleration
+
+
+@honours(
+    AbstractCells, "rate", "forcing_period", "ends", "components", "contact", "switching",
+    "belt_direction", "growth_time", "release_acceleration",
+)  # fmt: skip
+@honours(AbstractOscillators, "forcing_period")
+def test_what_cells_define_is_honoured():
+    start = jnp.zeros(3), jnp.ones(3)  # x = sin t
+    fastest = jc.Section(0, 1, of="velocity")
+    usual = {"direction": 1.0, "growth": 1e3, "at": 50.0, "width": 1e-4, "acceleration": 0.0}
+
+    def run(**other):
+        cells = Switching(**{name: jnp.asarray(v) for name, v in (usual | other).items()})
+        return jc.simulate(cells, start, 6.5, solver=jc.Rodas4(), observe=fastest, rtol=1e-8)
+
+    plain = run()
+    assert plain.steps < 300
+    assert plain.observed[0] == pytest.approx(2.0 * np.pi, abs=1e-6)
+    assert run(direction=-1.0).observed[0] == pytest.approx(np.pi, abs=1e-6)
+    assert run(growth=0.01).steps >= 650
+    assert run(at=0.1).steps > plain.steps
+    slow, fast = (run(at=0.1, width=0.1, acceleration=a).steps for a in (0.0, 1e9))
+    assert fast > slow + 20  # its error counts more
+    assert "amplitude_speed" in jc.Amplitude(component=1).label(jnp.ones(3), Row())
+    ring, row = (np.asarray(cells.jacobian(0.0, start)) for cells in (Mass(), Row()))
+    # The last mass pulls the first one in a ring; at a free end there is one spring only.
+    assert (ring[3, 2], row[3, 2]) == (0.1, 0.0)
+    assert (ring[3, 0], row[3, 0]) == pytest.approx((-1.2, -1.1))
+    for model in (Driven(), Swing()):
+        with pytest.raises(ValueError, match="forced with the period 2"):
+            jc.find_limit_cycle(model, start, period=3.0)
+
+
+class Count(AbstractObserver):
+    def init(self, field, t0, t1, y0):
+        return jnp.zeros(())
+
+    def update(self, accumulator, step):
+        return accumulator + 1.0
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"steps_seen": Variable(value)}
+
+
+class Other(Count):
+    def init(self, field, t0, t1, y0):
+        return jnp.asarray(100.0)
+
+    def update(self, accumulator, step):
+        return accumulator + 2.0
+
+    def settled(self, accumulator):
+        return accumulator >= 110.0
+
+    def rests(self, accumulator):
+        return accumulator >= 110.0
+
+    def read(self, accumulator):
+        return -accumulator
+
+    def label(self, value, chain):
+        return {"mine": Variable(value)}
+
+
+class Double(Count):
+    def update_if(self, counts, accumulator, step):
+        return accumulator + jnp.where(counts, 2.0, 0.0)
+
+
+@pytest.mark.long
+@honours(AbstractObserver, "init", "update", "update_if", "settled", "rests", "read", "label")
+def test_an_observer_is_honoured_in_runs_and_sweeps():
+    chain = jc.paper_chain(1, width=None)
+    run = jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Other())
+    assert (float(run.observed), int(run.steps), run.outcome) == (-110.0, 5, "quiet")
+    data = jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Other())
+    assert data.mine.values.tolist() == [-110.0]
+    assert data.steps.values.tolist() == [5]
+    plain = jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Count())
+    assert float(plain.observed) == int(plain.steps) > 5
+    data = jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Double())
+    assert data.steps_seen.values == 2 * data.steps.values
+
+
+class Unsound(Count):
+    def finite(self, accumulator):
+        return accumulator < 1.0
+
+
+@honours(AbstractObserver, "finite")
+def test_an_observer_decides_whether_its_value_is_finite():
+    chain = jc.paper_chain(1, width=None)
+    run = jc.simulate(chain, jc.equation_8(chain, 1), 5.0, observe=Unsound(), throw=False)
+    assert run.outcome == "nonfinite"
+
+
+class Late(AbstractObserver):
+    """What is so only after the time 60."""
+
+    def init(self, field, t0, t1, y0):
+        return y0[0]
+
+    def fits(self, t0, t1):
+        return t1 > 60.0
+
+    def update(self, accumulator, step):
+        return step.y1[0]
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"late": Variable(value, ("oscillator",))}
+
+
+@honours(AbstractObserver, "fits")
+def test_an_observer_that_does_not_fit_is_refused_in_runs_and_sweeps():
+    chain = jc.paper_chain(1, width=None)
+    with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 50"):
+        jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Late())
+    with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 50"):
+        jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Late())
+
+
+class Side(AbstractClassifier):
+    """Of steady sliding; which it says at once, or at the end."""
+
+    waits: bool = False
+
+    def init(self, field, t0, t1, y0):
+        return y0[0]
+
+    def update(self, accumulator, step):
+        return step.y1[0] if self.waits else accumulator
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {
+            "state": Variable((value > 0.6).astype(int), ("oscillator",)),
+            "decided": Variable(jnp.asarray(True)), "settling_time": Variable(jnp.zeros(())),
+        }  # fmt: skip
+
+    def name(self, code, chain):
+        return "right" if code[0] else "left"
+
+
+class Named(Side):
+    def merge(self, codes, chain):
+        return codes + 5
+
+    def patient(self):
+        return Named(waits=True)
+
+    @property
+    def least_time(self):
+        return 2.0
+
+    def name(self, code, chain):
+        return f"code {code[0]}"
+
+    def numbers(self, code, chain):
+        return {"side": int(code[0])}
+
+
+class Line(AbstractRegion):
+    """Displacements to the right of steady sliding."""
+
+    def dimension(self, chain):
+        return 1
+
+    def start(self, chain, point):
+        return 0.7 + point, jnp.zeros(1)
+
+
+class LeftAndRight(Line):
+    def dimension(self, chain):
+        return 2
+
+    def start(self, chain, point):
+        return jnp.where(point[1] < 0.5, -1.0, 1.0) + 0.1 * point[:1], jnp.zeros(1)
+
+
+@pytest.mark.long
+@honours(AbstractClassifier, "merge", "patient", "least_time", "name", "numbers")
+@honours(AbstractRegion, "dimension", "start")
+def test_classifiers_and_regions_are_honoured_by_shares():
+    chain = jc.paper_chain(1, belt_speed=2.0, width=None)
+    ask = {"t1": 3.0, "half_width": 0.2}
+    with pytest.warns(UserWarning, match="in another state at 4 t1"):
+        found = basin_shares(chain, LeftAndRight(), classify=Named(), **ask)
+    assert sorted(found.state.values.tolist()) == ["code 5", "code 6", "undecided"]
+    assert found.side.sel(state="code 6") == 6
+    assert found.share.sel(state="code 5") == pytest.approx(0.5, abs=0.1)
+    assert found.misclassified > 0.5  # half a period turns all of them round
+    plain = basin_shares(chain, Line(), classify=Side(), **ask)
+    assert plain.state.values.tolist() == ["right", "undecided"]
+    with pytest.raises(ValueError, match="`t1` must be at least 2, the first time"):
+        basin_shares(chain, Line(), classify=Named(), t1=1.0)
+
+
+class Fifth(AbstractStructuredRosenbrock):
+    tableau: ClassVar = RODAS5P
+    method_order: ClassVar[int] = 5
+    sweeps: int | None = eqx.field(static=True, default=None)
+
+    def with_sweeps(self, sweeps):
+        return Fifth(sweeps)
+
+
+class Fourth(Fifth):
+    tableau: ClassVar = RODAS4
+    method_order: ClassVar[int] = 4
+    sweeps: int | None = eqx.field(static=True, default=2)
+
+    def with_sweeps(self, sweeps):
+        return Fourth(7)
+
+
+@pytest.mark.long
+@honours(AbstractStructuredRosenbrock, "tableau", "method_order", "sweeps", "with_sweeps")
+def test_a_solver_is_honoured():
+    chain = jc.paper_chain(3, width=1e-2)
+    start = jc.equation_8(chain, 1)
+    four, shipped, five = (
+        jc.simulate(chain, start, 20.0, solver=solver, rtol=1e-6)
+        for solver in (Fourth(), jc.Rodas4(2), Fifth())
+    )
+    np.testing.assert_array_equal(four.state, shipped.state)
+    assert int(four.steps) == int(shipped.steps) != int(five.steps)
+    assert fit_linear_solve(Fourth(), chain, 1e-6) == Fourth(7)
+    options = {"over": {"excited": [1]}, "solver": Fourth(), "rtol": 1e-6}
+    assert jc.sweep(chain, jc.equation_8, 20.0, **options).steps.values == shipped.steps

@@ -1,1 +1,1 @@
-"""Calls that must be refused: a program of its own, see `__main__`."""
+"""Calls that must be refused, by submodule; see `table`."""

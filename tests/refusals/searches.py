@@ -1,43 +1,30 @@
-"""Bad calls of continuation and of limit cycles."""
+"""Bad calls of continuation, of limit cycles, boundaries, designs and identifications."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import jax.numpy as jnp
 import optax
+from synthetic import cycle_branch
 
-from jaxchain import continuation, cycles
+from jaxchain.boundaries import HopfPoint
+from jaxchain.cycles import continue_cycle, find_limit_cycle
+from jaxchain.inverse import Identification, Measurements
 from jaxchain.model import paper_chain
+from jaxchain.result import SearchResult
 
-from .table import (
-    A_CHAIN,
-    COUNT,
-    FLAG,
-    FUNCTION,
-    INDEX,
-    NONNEGATIVE,
-    NUMBER,
-    POSITIVE,
-    TREE,
-    WORD,
-    Row,
-    Told,
-    optional,
-    states,
-)  # fmt: skip
+from . import table as t
+from .table import A_CHAIN, COUNT, NUMBER, POSITIVE, Row, Told, row, states
 
-CHAIN, DRY = paper_chain(3, 1.2, 1e-2), paper_chain(3, 1.2, None)
-STATE = (jnp.full(3, 2.0), jnp.zeros(3))
+CHAIN, DRY, ONE = paper_chain(3, 1.2, 1e-2), paper_chain(3, 1.2, None), paper_chain(1, 1.2, 1e-2)
+STATE, REST = (jnp.full(3, 2.0), jnp.zeros(3)), (jnp.zeros(3), jnp.zeros(3))
 VECTOR = (None, "x", {}, 1.0, [], [[1.0]], [math.nan], [1j])
-BOUNDS = ("x", 3, (1,), (2, 1), (math.nan, 1), ("a", "b"), {}, (3.0, 4.0))
-STEPS = dict.fromkeys(("step", "min_step", "max_step"), POSITIVE)
-FOLLOWED = {"stop": ("x", 3), "progress": ("x", 3)}
-DIRECTION = (None, "x", 0, 2, [1.0, 2.0, 3.0], math.nan, {})
-IMAGES = ("x", 3, {}, (0,), (1, 0, 2), (math.nan, 1, 2), ("a", 1, 2))
 NO_DRY = Told(DRY, "dry friction")
-VIBRATING = (*optional(INDEX), 3)
+END = (None, "x", {}, 1j)
+PAIRS = ("x", {}, 3.0, (1,), (2, 1), (math.nan, 1), ("a", "b"), (0, 1j))
 
 
 def branch(u, p, args):
@@ -49,138 +36,181 @@ def root(u, args):
 
 
 def rows() -> Iterator[Row]:
-    yield from _searches()
-    yield from _branches()
+    yield from _continuation()
     yield from _cycles()
+    yield from _equilibria()
+    yield from _folds()
+    yield from _inverse()
 
 
-def _searches() -> Iterator[Row]:
-    count = optional(COUNT)
-    good = {"residual": root, "start": jnp.ones(1)}
-    yield Row(
-        "newton", continuation.newton, good,
-        {
-            "residual": (
-                *FUNCTION, lambda u: u, Told(lambda u, args: jnp.ones(3), r"\(3,\)"),
-                Told(lambda u, args: "text", "'text'"),
-            ),
-            "start": VECTOR, "tolerance": POSITIVE, "max_steps": count,
-            "weights": ("x", {}, 3.0, [1.0, 1.0], [math.nan]),
-        },
+def _continuation() -> Iterator[Row]:
+    one: dict[str, Any] = {"residual": root, "start": jnp.ones(1)}
+    yield row(
+        "newton", one, start=VECTOR, weights=("x", {}, 3.0, [1.0, 1.0], [math.nan]),
+        residual=(
+            *t.FUNCTION, lambda u: u, Told(lambda u, args: jnp.ones(3), r"\(3,\)"),
+            Told(lambda u, args: "text", "'text'"),
+        ),
     )  # fmt: skip
-    good = {"residual": branch, "u": jnp.ones(1), "p": 1.0}
-    bad = {"residual": FUNCTION, "u": VECTOR, "p": NUMBER, "tolerance": POSITIVE}
-    yield Row("fold_point", continuation.fold_point, good, {**bad, "max_steps": count})
-    yield Row("fold_residual", continuation.fold_residual, {}, {"residual": FUNCTION})
+    yield row("fold_point", {"residual": branch, "u": jnp.ones(1), "p": 1.0}, u=VECTOR, p=NUMBER)
+    yield row("fold_residual", {})
     good = {"loss": lambda x: x**2, "start": 1.0, "optimiser": optax.sgd(0.1)}
-    yield Row(
-        "descend", continuation.descend, good,
-        {
-            "loss": FUNCTION, "start": TREE, "optimiser": (None, "x", 3, optax.adam),
-            "steps": COUNT, "tolerance": NONNEGATIVE,
-        },
-    )  # fmt: skip
+    optimisers = (None, "x", 3, optax.adam)
+    tolerance = t.NONNEGATIVE
+    yield row(
+        "descend", good, loss=t.FUNCTION, start=t.TREE, optimiser=optimisers, tolerance=tolerance
+    )
     good = {"residual": root, "solution": jnp.ones(1), "parameters": 1.0}
-    bad = {"residual": FUNCTION, "solution": (None, "x", {}, 1.0, [[1.0]], [])}
-    yield Row("attach_derivative", continuation.attach_derivative, good, bad)
+    yield row("attach_derivative", good, solution=(None, "x", {}, 1.0, [[1.0]], []))
     good = {"before": lambda x: x < 1, "low": jnp.zeros(()), "high": 1.0, "halvings": 3}
-    end = (None, "x", {}, 1j)
-    halvings = tuple(value for value in COUNT if value is True or value != 0)
-    bad = {"before": FUNCTION, "low": end, "high": end, "halvings": halvings}
-    yield Row("bisect", continuation.bisect, good, bad)
-
-
-def _branches() -> Iterator[Row]:
-    yield Row(
-        "continue_branch", continuation.continue_branch,
-        {"residual": branch, "start": jnp.ones(1), "parameter": 1.0},
-        {
-            **STEPS, **FOLLOWED, "residual": FUNCTION, "start": VECTOR, "parameter": NUMBER,
-            "direction": DIRECTION, "max_points": optional(COUNT), "bounds": (None, *BOUNDS),
-            "weights": ("x", {}, 3.0, [1.0], [1.0, math.nan]), "tests": ("x", 3, {"a": 3}),
-            "value_and_jacobian": ("x", 3), "tolerance": POSITIVE, "max_turn": POSITIVE,
-            "max_bend": POSITIVE, "keep_part": FLAG,
-        },
+    yield row("bisect", good, before=t.FUNCTION, low=END, high=END, halvings=t.COUNT_0)
+    yield row(
+        "continue_branch", {"residual": branch, "start": jnp.ones(1), "parameter": 1.0},
+        start=VECTOR, parameter=NUMBER, bounds=(None, *t.USUAL["bounds"]), max_bend=POSITIVE,
+        weights=("x", {}, 3.0, [1.0], [1.0, math.nan]), tests=("x", 3, {"a": 3}),
+        value_and_jacobian=("x", 3), stop=("x", 3), progress=("x", 3),
     )  # fmt: skip
-    good = {"residual": branch, "point": None}
-    yield Row("switch_branch", continuation.switch_branch, good, {"point": (None, "x", 3)})
+    yield row(
+        "switch_branch", {"residual": branch, "point": None}, point=(None, "x", 3), residual=(),
+        step=(), tolerance=(),
+    )  # fmt: skip
 
 
 def _cycles() -> Iterator[Row]:
-    yield Row(
-        "find_limit_cycle", cycles.find_limit_cycle, {"model": CHAIN},
-        {
-            "model": A_CHAIN, "guess": optional(states(3)), "mass": VIBRATING,
-            "branch": WORD, "images": IMAGES, "rtol": (*POSITIVE, 2.0), "tolerance": POSITIVE,
-            "max_steps": optional(COUNT), "throw": FLAG, "period": (6.0, "x"),
-        },
-    )  # fmt: skip
+    guess = {"guess": states(3), "period": (6.0, "x")}
+    yield row("find_limit_cycle", {"model": CHAIN}, branch=t.WORD, **guess)
     given = {"model": CHAIN, "guess": STATE, "period": 6.0}
-    yield Row("find_limit_cycle, guess", cycles.find_limit_cycle, given,
-              {"period": optional(POSITIVE)})  # fmt: skip
-    many = tuple(jnp.stack([jnp.asarray(part)] * 2) for part in STATE)
-    yield Row(
-        "find_limit_cycles", cycles.find_limit_cycles,
-        {"model": CHAIN, "guesses": (many, jnp.full(2, 6.0))},
-        {
-            "model": (*A_CHAIN, NO_DRY), "known": (None, 1.0, [STATE]), "mass": VIBRATING,
-            "guesses": (None, "x", {}, object, 0, (STATE, 6.0), (many, jnp.full(3, 6.0))),
-            "rounds": COUNT, "lanes": COUNT, "key": (None, "x", -1, 1.5), "rtol": (*POSITIVE, 2.0),
-            "tolerance": POSITIVE, "max_steps": optional(COUNT), "progress": FLAG,
-        },
+    yield Row("find_limit_cycle, guess", find_limit_cycle, given, {"period": POSITIVE[1:]})
+    many = tuple(jnp.stack([part] * 2) for part in STATE)
+    yield row(
+        "find_limit_cycles", {"model": CHAIN, "guesses": (many, jnp.full(2, 6.0))},
+        model=(*A_CHAIN, NO_DRY), known=(None, 1.0, [STATE]), rounds=COUNT,
+        guesses=(None, "x", {}, object, 0, (STATE, 6.0), (many, jnp.full(3, 6.0))),
+        key=(None, "x", -1, 1.5),
     )  # fmt: skip
-    orbit = {"model": CHAIN, "state": STATE, "period": 6.0}
-    of_orbit = {
-        "model": (*A_CHAIN, NO_DRY), "state": states(3), "period": POSITIVE,
-        "rtol": (*POSITIVE, 2.0),
-    }  # fmt: skip
-    yield Row(
-        "continue_cycle", cycles.continue_cycle, orbit,
-        {
-            **STEPS, **FOLLOWED, **of_orbit, "model": A_CHAIN, "parameter": WORD,
-            "direction": tuple(value for value in DIRECTION), "bounds": BOUNDS,
-            "mass": VIBRATING, "images": IMAGES, "max_points": optional(COUNT),
-            "tolerance": POSITIVE, "keep_part": FLAG, "events": ("x", 3, {"a": 3}),
-        },
-    )  # fmt: skip
-    yield Row(
-        "continue_cycle, dry", cycles.continue_cycle, {**orbit, "model": DRY},
-        {
-            **STEPS, "parameter": WORD, "direction": (*DIRECTION, "slip"), "bounds": BOUNDS,
-            "max_points": optional(COUNT), "tolerance": POSITIVE, "keep_part": FLAG,
-        },
-    )  # fmt: skip
-    yield Row("continue_cycle, cycle", cycles.continue_cycle, {}, {"model": (*A_CHAIN, CHAIN)})
-    yield Row(
-        "cycle_symmetry",
-        cycles.cycle_symmetry,
-        orbit,
-        {"model": A_CHAIN, "state": states(3), "period": POSITIVE, "tolerance": POSITIVE},
-    )
-    wrong = {"branch": None, "point": None}
-    yield Row("switch_cycle", cycles.switch_cycle, wrong, {"branch": (None, "x", 3)})
-    yield Row("liouville_determinant", cycles.liouville_determinant, orbit, of_orbit)
-    both = of_orbit | {"model": A_CHAIN}  # dry or smoothed
-    yield Row("monodromy_matrix", cycles.monodromy_matrix, orbit, both)
+    orbit: dict[str, Any] = {"model": CHAIN, "state": STATE, "period": 6.0}
+    own = {"state": states(3), "period": POSITIVE}
+    followed = {"stop": ("x", 3), "progress": ("x", 3)}
+    # A cycle that is found stands for its model, state and period.
+    yield row("continue_cycle", orbit, **own, **followed, events=("x", 3, {"a": 3}))
+    direction = (*t.USUAL["direction"], "slip")
+    dry = {"images": (), "mass": (), "rtol": (), "model": (), "progress": ()}
+    yield row("continue_cycle, dry", {**orbit, "model": DRY}, direction=direction, **dry)
+    yield Row("continue_cycle, cycle", continue_cycle, {}, {"model": (*A_CHAIN, CHAIN)})
+    yield row("cycle_symmetry", orbit, **own)
+    yield row("switch_cycle", {"branch": None, "point": None}, branch=(None, "x", 3), step=(),
+              bounds=())  # fmt: skip
+    yield row("liouville_determinant", orbit, **own, model=(*A_CHAIN, NO_DRY))
+    yield row("monodromy_matrix", orbit, **own)
     matrix = (None, "x", {}, 3.0, jnp.ones(2), jnp.ones((2, 3)))
-    yield Row(
-        "floquet_multipliers", cycles.floquet_multipliers,
-        {"monodromy": jnp.eye(2), "flow_direction": jnp.ones(2)},
-        {
-            "monodromy": matrix,
-            "flow_direction": (
-                None, "x", {}, 3.0, Told([1.0, 2.0, 3.0], r"\(3,\)"), Told((1.0,), r"\(1,\)"),
-                jnp.zeros(2),
-            ),
-        },
-    )  # fmt: skip
+    flow = Told([1.0, 2.0, 3.0], r"\(3,\)"), Told((1.0,), r"\(1,\)"), jnp.zeros(2)
+    good = {"monodromy": jnp.eye(2), "flow_direction": jnp.ones(2)}
+    yield row("floquet_multipliers", good, monodromy=matrix, flow_direction=("x", {}, 3.0, *flow))
     good = {"monodromy": jnp.eye(2), "trace": 0.0}
-    bad = {"monodromy": matrix, "trace": (None, "x", {}, [1.0, 2.0], 1j)}
-    yield Row("liouville_defect", cycles.liouville_defect, good, bad)
-    yield Row(
-        "guess_from_simulation", cycles.guess_from_simulation, {"model": CHAIN, "state": STATE},
-        {
-            "model": A_CHAIN, "state": states(3), "mass": VIBRATING,
-            "transient": NONNEGATIVE, "duration": POSITIVE,
-        },
+    yield row("liouville_defect", good, monodromy=matrix, trace=(None, "x", {}, [1.0, 2.0], 1j))
+    yield row(
+        "guess_from_simulation", {"model": CHAIN, "state": STATE}, state=states(3),
+        transient=t.NONNEGATIVE, duration=POSITIVE,
     )  # fmt: skip
+
+
+def _equilibria() -> Iterator[Row]:
+    unequal, unknown = (REST[0], jnp.zeros(2)), (REST[0], [math.nan] * 3)
+    guess = ("x", 3.0, REST[0], (REST[0],), unequal, unknown)
+    good: dict[str, Any] = {"model": CHAIN, "guess": REST}
+    yield row("find_equilibrium", good, guess=guess)
+    standing = Told(DRY.with_(belt_speed=0.0), "`belt_speed` = 0")
+    named: dict[str, Any] = {"guess": guess, "model": (*A_CHAIN, standing)}
+    own = good | {"parameter": "belt_speed"}
+    yield row("find_hopf_point", own, **named, frequency=NUMBER, bounds=())
+    over = ("x", 3.0, {}, {"belt_speed": [1.0], "width": [1.0]}, {"belt_speed": [1.0, 1.0]})
+    yield row("complex_modes", {"model": CHAIN, "over": {"belt_speed": [1.0, 1.5]}}, over=over)
+    yield row(
+        "continue_equilibrium", own | {"bounds": (0.5, 1.5)}, **named, bounds=(None, *PAIRS),
+        direction=(), step=(), max_step=(), max_points=(),
+    )  # fmt: skip
+    fold, hopf = cycle_branch(1).special
+    speeds = [{"belt_speed": pair} for pair in (None, *PAIRS)]
+    point = made(
+        HopfPoint, chain=ONE, parameter="belt_speed", value=jnp.asarray(1.15),
+        state=(jnp.ones(1), jnp.zeros(1)), frequency=jnp.asarray(1.0),
+        mode=(jnp.ones(1) + 0j, 1j * jnp.ones(1)), result=SearchResult.successful,
+    )  # fmt: skip
+    yield row(
+        "continue_special", {"point": point, "second": "damping_ratio"},
+        point=(None, "x", {}, 3.0, ONE), second=(*t.WORD, "belt_speed"),
+        bounds=("x", 3.0, [], {"width": (0.1, 0.2)}, {3: (0.1, 0.2)}, *speeds),
+    )  # fmt: skip
+    yield row(
+        "find_special_cycle", {"point": fold}, parameter=(), mass=(),
+        point=(None, "x", {}, 3.0, ONE, Told(hopf, "hopf")),
+    )  # fmt: skip
+    yield row("hopf_belt_speed", {})
+    infinite = Told((0, math.inf), "inf")
+    yield row("hopf_points", {"chain": CHAIN}, belt_speeds=(None, *PAIRS, infinite))
+    yield row("hopf_by_descent", {"chain": CHAIN}, start=POSITIVE)
+
+
+def _folds() -> Iterator[Row]:
+    chain: dict[str, Any] = {"chain": CHAIN}
+    for name in ("fold_belt_speed", "find_fold", "stability_range"):
+        yield row(name, chain)
+    yield row("fold_by_descent", chain, chain=(*A_CHAIN, NO_DRY), start=NUMBER)
+    widths = ("x", {}, 3.0, [1e-2], [1, 1, 1, 1], [1, 2, 3, math.nan], [1, 2, 3, -1])
+    yield row("extrapolated_fold", chain, widths=widths)
+    yield row(
+        "extrapolate", {"values": jnp.ones(4), "widths": jnp.arange(1.0, 5.0)},
+        values=(None, "x", {}, 1.0, Told([1, 2], r"\(2,\)"), [1, 2, 3, 1j]),
+        widths=(None, *widths), scale=POSITIVE, accuracy=POSITIVE,
+    )  # fmt: skip
+
+
+def _inverse() -> Iterator[Row]:
+    one = ("x", 3, {}, (1,), (1.0, 0.0), (math.nan, 1), ("a", 1), Told((1, [1, 2]), r"\(2,\)"))
+    lengths = Told(([1.0, 2.0], [1.0], 0.1), r"\(2,\), \(1,\)")
+    wrong = (([1.0], [1.0], 0.0), ([1.0], [math.nan], 0.1), (["a"], [1.0], 0.1), lengths)
+    names = ("amplitudes", "displacements", "periods", "means", "stick_shares")
+    yield row(
+        "Measurements", {"hopf": (1.15, 0.1)}, hopf=one, fold=one,
+        harmonics=("x", 3, {}, ([1.0], [[math.nan]], 0.1), Told(([1.0], [1.0], 0.1), "(1,)")),
+        correlation=("x", {}, [[math.nan]], Told([[2.0]], "diagonal of 1"), [1.0]),
+        **dict.fromkeys(names, ("x", 3, {}, *wrong)),
+    )  # fmt: skip
+    values = ("a", [1.0, math.nan], {})
+    yield row(
+        "Signal", {"times": [0.0, 1.0], "values": [1.0, 2.0], "noise": 0.1},
+        times=(*values, Told([1.0, 0.5], "1 is followed by 0.5")),
+        values=(*values, Told([1.0], r"\(1,\) beside \(2,\)")),
+        noise=(0.0, -1.0, math.nan, "a"), what=("speed", 3),
+        start=("x", 3, {}, ("a", "b"), ([1.0], [math.nan])),
+    )  # fmt: skip
+    readings = {"measurements": (None, "x", {}, Measurements)}
+    good: dict[str, Any] = {"chain": DRY, "measurements": Measurements(hopf=(1.0, 0.1))}
+    for name in ("predict", "log_likelihood"):
+        yield row(name, good, **readings)
+    change = lambda chain, xi: chain.with_(damping_ratio=xi)  # noqa: E731
+    more = {"change": change, "start": 0.05}
+    bad = {
+        "change": (*t.FUNCTION, lambda chain: chain, Told(lambda chain, xi: 3, "is 3")),
+        "start": t.TREE,
+    }
+    yield row("identify", {**good, **more}, **bad, **readings)
+    fit = made(Identification, theta=jnp.asarray(0.05), chain=DRY, standard_errors=0.01)
+    yield row(
+        "profile", {**good, "found": fit, "change": change, "place": 0}, **readings,
+        found=(3, {}), place=(1, -1, 0.5, "a"), reach=POSITIVE, points=(2, 2.5, "a"),
+        confidence=(0.0, 1.0, "a"), chain=(), mass=(),
+    )  # fmt: skip
+    yield row(
+        "design", {"chain": DRY, **more, "width_below": 0.1}, **bad, width_below=POSITIVE[1:],
+        highest_below=(1.0,), blow_above=(1.0,), cost=("x", 3),
+        scale=("x", {}, math.nan, -1.0, 0.0, [1.0, 2.0]),
+    )  # fmt: skip
+
+
+def made(cls: Any, **fields: Any) -> Any:
+    """A result with these fields alone; what is refused needs no others."""
+    found = object.__new__(cls)
+    for name, value in fields.items():
+        object.__setattr__(found, name, value)
+    return found

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import math
 import re
 import signal
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import diffrax as dfx
 import jax.numpy as jnp
 import numpy as np
+import optax
 
-from jaxchain import Chain, paper_chain, simulate
+import jaxchain
+from jaxchain import Chain, EventDriven, Rodas4, paper_chain, simulate
 
 LONGEST_MESSAGE = 600
 # Seconds.  A refusal takes milliseconds; what is not refused may compile and run for minutes.
-MOST_TIME = 5
+MOST_TIME = 60
 
 # Of a message that says what would be good.
 HELPS = (
@@ -26,22 +30,49 @@ HELPS = (
 
 # What each kind of argument cannot be.
 WRONG = (None, "x", {}, object)
-NUMBER = (*WRONG, [1.0, 2.0], (), math.nan, math.inf, 1j)
+NUMBER = (*WRONG, [1.0, 2.0], (), math.nan, math.inf, -math.inf, 1j)
 POSITIVE = (*NUMBER, -1.0, 0.0, 5e-324)
 NONNEGATIVE = (*NUMBER, -1.0)
 COUNT = (*WRONG, "3", 2.5, [1], math.nan, 0, -1, True, 10**30)
-INDEX = (*(value for value in COUNT if value is not True and value != 0), True)
+# Where 0 counts, too.
+COUNT_0 = tuple(value for value in COUNT if value is True or value != 0)
+SHARE = (*NUMBER, 0.0, 1.0, -1.0)
 WORD = (None, 3, "nonsense", ["a"], {})
 FLAG = (None, "no", 2)
 A_CHAIN = (None, "x", Chain, {}, 3.0, [paper_chain(3)])
 FUNCTION = (None, 3, "x", lambda: None)
-SOLVER = ("Rodas4", 3, {})
 TREE = (None, "x", [], {}, {"a": "b"}, math.nan, [1.0, math.nan], 1j)
-
-
-def optional(values: Sequence[Any]) -> tuple[Any, ...]:
-    """The same without None."""
-    return tuple(value for value in values if value is not None)
+ARRAY = (None, "x", {}, object, 3.0, [], [1j])
+SOLVERS = (
+    "Rodas4", 3, {}, Rodas4, EventDriven, dfx.Tsit5, dfx.Euler(), dfx.KenCarp4(), math.nan,
+)  # fmt: skip
+MASSES = ("x", {}, 3, (), (0, 0), (-1,), (1.5,), (True,), (None,))
+# Of an argument with this name, unless its row says otherwise; None is good where it is the
+# default.
+USUAL = {
+    **dict.fromkeys(("chain", "model"), A_CHAIN),
+    **dict.fromkeys(("throw", "progress", "keep_part", "error_bars"), FLAG),
+    **dict.fromkeys(("parameter", "ends", "block"), WORD),
+    **dict.fromkeys(("lanes", "steps", "starts"), COUNT),
+    # None is no bound.
+    **dict.fromkeys(("max_steps", "max_points"), COUNT[1:]),
+    **dict.fromkeys(("tolerance", "step", "min_step", "max_step", "max_turn"), POSITIVE),
+    "rtol": (*POSITIVE, 2.0, 1e-300),
+    "atol": (*POSITIVE, 1e-300),
+    "t1": NUMBER,
+    "t0": NUMBER,
+    "mass": (*COUNT_0, 3),
+    "residual": FUNCTION,
+    "solver": SOLVERS,
+    "optimiser": ("x", 3, optax.adam),
+    "direction": (None, "x", 0, 2, [1.0, 2.0, 3.0], math.nan, {}),
+    "bounds": ("x", 3, (1,), (2, 1), (math.nan, 1), ("a", "b"), {}, (3.0, 4.0)),
+    "images": ("x", 3, {}, (0,), (1, 0, 2), (math.nan, 1, 2), ("a", 1, 2)),
+    "description": (3, None),
+    "ax": ("x", 3, []),
+    "scales": ("x", 3),
+    "seed": (None, "x", {}, 1.5, math.nan, [1, 2]),
+}
 
 
 def states(n: int) -> tuple[Any, ...]:
@@ -61,54 +92,61 @@ class Told(NamedTuple):
     instead: str
 
 
-class Row(NamedTuple):
-    """A public name, and calls of it with one argument replaced by each of some values.
+def public() -> dict[str, Any]:
+    """The names of the top level and of all submodules but `scenes`, whose input are files."""
+    submodules = set(jaxchain.SUBMODULES) - {"scenes"}
+    modules = [jaxchain, *(importlib.import_module(f"jaxchain.{name}") for name in submodules)]
+    names = {(name, module) for module in modules for name in module.__all__}
+    return {name: getattr(module, name) for name, module in names}
 
-    `name` is that of the module, or begins with it; `says` must be matched by every message.
-    """
+
+class Row(NamedTuple):
+    """A public name, and calls of it with one argument replaced by each of some values."""
 
     name: str
     call: Callable[..., object]
     good: Mapping[str, Any]
     bad: Mapping[str, Sequence[Any]]
-    says: str = ""
 
     def faults(self) -> Iterator[str]:
         for argument, values in self.bad.items():
             for value in values:
                 if fault := self._fault(argument, value):
-                    yield f"{self.name}({argument}={_short(value)}): {fault}"
+                    shown = repr(value).replace("\n", " ")[:60]
+                    yield f"{self.name}({argument}={shown}): {fault}"
 
     def _fault(self, argument: str, value: Any) -> str:
         plain = value.value if isinstance(value, Told) else value
-        begun = time.perf_counter()
         signal.alarm(MOST_TIME)
         try:
             self.call(**{**self.good, argument: plain})
+        except (ValueError, TypeError) as error:
+            message = str(error)
         except Exception as error:
-            message, kind = str(error), type(error)
+            return f"{type(error).__name__}: {error}"
         else:
             return "was taken without a word"
         finally:
             signal.alarm(0)
-        if kind not in (ValueError, TypeError):
-            return f"{kind.__name__}: {message}"
-        if not re.search(rf"rguments? .*`{argument}\b", message):
-            return f"does not name the argument: {message}"
-        if not _is_shown(value, message):
-            return f"does not say what was given: {message}"
-        if not re.search(HELPS, message):
-            return f"does not say what helps: {message}"
-        if not re.search(self.says, message):
-            return f"does not say {self.says}: {message}"
-        if len(message) > LONGEST_MESSAGE or "\n" in message:
-            return f"is too long: {message}"
-        if time.perf_counter() - begun > MOST_TIME:
-            return "took too long"
-        return ""
+        wrong = {
+            "does not name the argument": not re.search(rf"rguments? .*`{argument}\b", message),
+            "does not say what was given": not _is_shown(value, message),
+            "does not say what helps": not re.search(HELPS, message),
+            "is too long": len(message) > LONGEST_MESSAGE or "\n" in message,
+        }
+        found = [fault for fault, so in wrong.items() if so]
+        return f"{' and '.join(found)}: {message}" if found else ""
 
-    def attempts(self) -> int:
-        return sum(map(len, self.bad.values()))
+
+def row(name: str, good: Mapping[str, Any], call: Any = None, /, **bad: Sequence[Any]) -> Row:
+    """The row of a public name, or of what begins with one and `call` is; usual arguments too."""
+    call = call or public()[name.partition(",")[0]]
+    for argument, parameter in inspect.signature(call).parameters.items():
+        if argument in USUAL and argument not in bad:
+            bad[argument] = USUAL[argument]
+        if argument in bad and parameter.default is None:
+            bad[argument] = [value for value in bad[argument] if value is not None]
+    return Row(name, call, good, bad)
 
 
 def _is_shown(value: Any, message: str) -> bool:
@@ -134,11 +172,6 @@ def _is_numbers(value: Any) -> bool:
         return np.asarray(value).dtype.kind in "ifc"
     except ValueError:  # lists of unequal lengths
         return False
-
-
-def _short(value: Any) -> str:
-    text = repr(value).replace("\n", " ")
-    return text if len(text) < 60 else f"{text[:57]}..."
 
 
 def too_slow(*_: Any) -> None:
