@@ -1,29 +1,33 @@
 """How likely each state is."""
 
 import importlib
+from types import SimpleNamespace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import scipy.stats
-from systems.double_well import Well, by_scipy, double_well
+from jaxtyping import Array
+from scipy.integrate import solve_ivp
+from systems.double_well import Well, double_well
 
-from jaxchain import equation_8, paper_chain, simulate, steady_sliding, sweep
+from jaxchain import paper_chain
 from jaxchain.basins import (
-    AbstractClassifier,
+    AbstractRegion,
     Box,
-    Gaussian,
     Ranges,
-    Sampler,
     VibratingMasses,
     basin_shares,
     share_differences,
 )
 from jaxchain.basins.regions import Points
 from jaxchain.basins.shares import Bars, Batch, Tally, of_replicates
-from jaxchain.model import LuGre, VanDerPol
+from jaxchain.model import LuGre
 from jaxchain.observers import Variable
 from jaxchain.sweeps import SweepInterrupted
+
+from .planes import Plane
 
 CHAIN = paper_chain(2, width=None)
 
@@ -119,40 +123,44 @@ def test_replicates_give_a_mean_and_its_interval():
 
 runs = importlib.import_module("jaxchain.basins.shares")
 
-ONE = paper_chain(1, belt_speed=1.5, width=None)
-SPEEDS = [1.4, 1.42]
+# One mass from a box: always over belt speeds with as many lanes, so that it is one program.
+ONE = paper_chain(1, width=None)
+
+
+def one_mass(speeds=(1.4,), region=None, **how):
+    over = {"belt_speed": list(speeds)}
+    how = {"half_width": 0.05, "checked": 0, "lanes": 256} | how
+    return basin_shares(ONE, Box() if region is None else region, over, **how)
 
 
 @pytest.fixture(scope="module")
 def shares():
-    return basin_shares(ONE, Box(), {"belt_speed": SPEEDS}, half_width=0.01)
+    return one_mass((1.4, 1.42), half_width=0.01, checked=64)
 
 
-def test_shares_are_those_of_plain_runs(shares):
-    # 2^12 random starts, run to t = 600 without any decision.
-    rng = np.random.default_rng(3)
-    x, v = rng.uniform(-2, 2, (4096, 1)), rng.uniform(0, 2, (4096, 1))
-    runs = sweep(
-        ONE, lambda chain, x, v: (x, v), 600.0,
-        over={"belt_speed": SPEEDS, "start": {"x": x, "v": v}},
-    )  # fmt: skip
-    died = (runs.amplitude.isel(oscillator=0) < 0.5).mean("start")
-    error = 4.0 * (0.25 / 4096) ** 0.5
-    assert np.all(np.abs(shares.share.sel(state="sliding") - died) < error)
+def test_shares_of_one_mass_are_the_area_within_the_unstable_cycle(shares):
+    """By SciPy; the mirror image has the same."""
+    assert shares.state.values.tolist() == ["sliding", "vibrating", "undecided"]
+    for speed in (1.4, 1.42):
+        plane = Plane.paper(speed)
+        exact = plane.area(plane.cycle(0.9, 1.25), (-2, 2), (0, 2)) / 8
+        own = shares.sel(belt_speed=speed)
+        for state, share in (("sliding", exact), ("vibrating", 1 - exact), ("undecided", 0)):
+            assert own.low.sel(state=state) <= share <= own.high.sel(state=state)
+    box = Box(displacement=(-2, 2), velocity=(-2, 0))
+    back, ahead = one_mass((-1.4,), box, half_width=0.01, seed=5), shares.sel(belt_speed=[1.4])
+    assert back.state.values.tolist() == shares.state.values.tolist()
+    assert np.all((back.low.values <= ahead.high.values) & (ahead.low.values <= back.high.values))
 
 
 def test_what_is_said_of_shares_agrees(shares):
-    assert shares.state.values.tolist() == ["sliding", "vibrating", "undecided"]
     assert shares.vibrating.values[:2].tolist() == [0, 1]
     assert np.isnan(shares.vibrating[2])
-    assert np.allclose(shares.share.sum("state"), 1)
-    assert np.all((shares.low <= shares.share) & (shares.share <= shares.high))
     half = ((shares.high - shares.low) / 2).max()
     assert half <= 0.01
     assert shares.attrs["longest_half_width"] == half
     assert np.allclose(shares.replicate_share.mean("replicate"), shares.share)
     assert np.array_equal(shares.undecided, shares.share.sel(state="undecided"))
-    assert np.all(shares.undecided == 0)
     assert np.all(shares.misclassified == 0)
     assert shares.attrs["checked"] >= 2 * 60
     assert np.all(shares.changed_later == 0)
@@ -160,21 +168,8 @@ def test_what_is_said_of_shares_agrees(shares):
         assert name in ("state", "vibrating", "oscillator") or "units" in shares[name].attrs
 
 
-def test_a_start_of_each_state_leads_there(shares):
-    for speed in SPEEDS:
-        for state, vibrates in (("sliding", False), ("vibrating", True)):
-            own = shares.sel(belt_speed=speed, state=state)
-            parts = own["start_displacement"], own["start_velocity"]
-            start = tuple(jnp.asarray(part.values) for part in parts)
-            run = simulate(ONE.with_(belt_speed=speed), start, 1000.0, observe=VibratingMasses())
-            assert bool(run.observed.vibrates[0]) == vibrates
-            assert own.settling_time < run.t
-    assert np.all(np.isnan(shares.start_displacement.sel(state="undecided")))
-
-
 def test_all_parameters_have_the_same_starts():
-    over = {"belt_speed": [1.4, 1.41]}
-    found = basin_shares(ONE, Box(), over, points="random", half_width=0.02, checked=0)
+    found = one_mass((1.4, 1.41), points="random", half_width=0.02)
     change = share_differences(found, "belt_speed").sel(state="sliding")
     assert np.allclose(change.belt_speed, 1.405)
     sliding = found.sel(state="sliding")
@@ -183,6 +178,15 @@ def test_all_parameters_have_the_same_starts():
     # Were they drawn anew, the errors of two shares would add up.
     first, second = (sliding.high - sliding.low).values / 2
     assert 5.0 * float((change.high - change.low)[0] / 2) < np.hypot(first, second)
+    # The bar of a fraction.
+    p, n = float(sliding.share[0]), found.attrs["starts"]
+    assert 0.99 < first / (1.96 * (p * (1 - p) / n) ** 0.5) < 1.01
+
+
+def test_seeds_are_different_starts_and_a_seed_is_the_same():
+    first, second, third = (one_mass(seed=seed).share.values for seed in (0, 0, 1))
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, third)
 
 
 def test_what_was_counted_before_ctrl_c_is_kept(monkeypatch):
@@ -197,7 +201,7 @@ def test_what_was_counted_before_ctrl_c_is_kept(monkeypatch):
 
     monkeypatch.setattr(runs, "sweep", interrupted)
     with pytest.raises(SweepInterrupted) as caught:
-        basin_shares(ONE, Box(), half_width=0.005, replicates=4)
+        one_mass(half_width=0.005, replicates=4)
     kept = caught.value.dataset
     assert kept.attrs["starts"] == 4 * 32
     assert np.isclose(kept.share.sum(), 1)
@@ -206,172 +210,166 @@ def test_what_was_counted_before_ctrl_c_is_kept(monkeypatch):
 
 def test_bars_that_stay_too_long_are_told():
     with pytest.warns(UserWarning, match=r"The longest bar is .*: raise `most`"):
-        found = basin_shares(ONE, Box(), half_width=0.001, replicates=4, most=128, checked=0)
+        found = one_mass(half_width=0.001, replicates=4, most=128)
     assert found.attrs["starts"] == 128
-    with pytest.raises(ValueError, match="`store` is none of `basin_shares`"):
-        basin_shares(ONE, Box(), store="here.zarr")
-
-
-@pytest.mark.long
-def test_states_are_judged_on_demand():
-    over = {"belt_speed": [1.4, 1.9]}
-    found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
-    assert found.verdict.sel(state="sliding").values.tolist() == [
-        "steady sliding",
-        "steady sliding",
-    ]
-    assert found.verdict.sel(state="vibrating").values.tolist() == ["periodic", ""]
-
-
-@pytest.mark.long
-def test_seeds_are_different_starts_and_a_seed_is_the_same():
-    first, second, third = (
-        basin_shares(ONE, Box(), half_width=0.05, seed=seed, checked=0).share.values
-        for seed in (0, 0, 1)
-    )
-    assert np.array_equal(first, second)
-    assert not np.array_equal(first, third)
-
-
-@pytest.mark.long
-def test_random_starts_have_the_bar_of_a_fraction():
-    found = basin_shares(ONE, Box(), points="random", half_width=0.02, checked=0)
-    p, n = float(found.share[0]), found.attrs["starts"]
-    binomial = 1.96 * (p * (1 - p) / n) ** 0.5
-    assert 0.99 < float(found.high[0] - found.low[0]) / 2 / binomial < 1.01
-
-
-@pytest.mark.long
-def test_rotated_patterns_are_equally_likely():
-    chain = paper_chain(3, belt_speed=1.5, width=None)
-    region = Box(displacement=(-2, 2), velocity=(0, 2))
-    found = basin_shares(
-        chain, region, points="random", half_width=0.02, classify=VibratingMasses(by="masses"),
-        t1=300.0, checked=0, seed=1,
-    )  # fmt: skip
-    for count in (1, 2):
-        own = found.share.values[found.vibrating == count] * found.attrs["starts"]
-        assert len(own) == 3
-        assert scipy.stats.chisquare(own).pvalue > 0.05
-    ring = basin_shares(
-        chain, region, points="random", half_width=0.02, classify=VibratingMasses(by="ring"),
-        t1=300.0, checked=0, seed=1,
-    )  # fmt: skip
-    count = found.share.groupby("vibrating").sum()
-    assert np.allclose(ring.share[:-1], count)
-    assert len(ring.state) == 5
-
-
-@pytest.mark.long
-def test_some_masses_may_be_pushed():
-    chain = paper_chain(3, belt_speed=1.6, width=None)
-    found = basin_shares(
-        chain, Gaussian(1.0, 1.0, masses=[0]), half_width=0.05, t1=300.0, checked=0,
-        classify=VibratingMasses(by="masses"),
-    )  # fmt: skip
-    assert set(found.state.values) == {"sliding", "1 vibrates", "undecided"}
 
 
 def test_runs_without_time_to_settle_are_undecided():
-    found = basin_shares(ONE, Box(), t1=50.0, half_width=0.05)
+    found = one_mass(t1=50.0, checked=64)
     assert found.undecided == 1
     assert found.attrs["checked"] == 0
     # Where they were is known.
     assert np.isclose(found.share_at_end.sum(), 1)
-    assert found.share_at_end[-1] == 0
+    assert found.share_at_end[0, -1] == 0
 
 
-def test_no_state_is_known_before_the_first_window_has_ended():
-    with pytest.raises(ValueError, match=r"`t1` must be at least 20, .* but is 10"):
-        basin_shares(ONE, Box(), t1=10.0)
+class Side(Well):
+    """The well, of any stiffness; a hasty one says at once on which side of the hill it starts."""
 
-
-def test_runs_that_fail_are_a_state_and_no_others():
-    def at(chain, point):
-        x, v = steady_sliding(chain)
-        return jnp.where(point[0] < 0.5, jnp.nan, x), v
-
-    found = basin_shares(
-        ONE, Sampler(at, 1), half_width=0.1, checked=0, classify=VibratingMasses(by="masses")
-    )
-    assert found.state.values.tolist() == ["sliding", "undecided", "failed"]
-    assert np.allclose(found.share, [0.5, 0, 0.5], atol=0.02)
-    assert np.allclose(found.share_at_end, [0.5, 0, 0], atol=0.02)
-
-
-class Hasty(AbstractClassifier):
-    """Takes the sign of the velocity, at the start or, if it is patient, at the end."""
-
-    waits: bool = False
+    hasty: Array = eqx.field(converter=jnp.asarray)
 
     def init(self, field, t0, t1, y0):
-        return y0[1]
+        return y0[0], y0[0], jnp.asarray(jnp.inf)
 
     def update(self, accumulator, step):
-        return step.y1[1] if self.waits else accumulator
+        (x, v), field = step.y1, step.field
+        energy = v**2 / 2 + field.stiffness * x**2 / 2 + field.cubic * x**4 / 4
+        return accumulator[0], x, jnp.max(energy)
 
     def settled(self, accumulator):
-        return jnp.asarray(not self.waits)
-
-    def read(self, accumulator):
-        return accumulator
+        return self.hasty | (accumulator[2] < -1e-3)
 
     def label(self, value, model):
+        side = jnp.where(self.hasty, value[0], value[1]) > 0
         return {
-            "state": Variable((value > 0).astype(int), ("oscillator",)),
-            "decided": Variable(jnp.asarray(True)),
-            "settling_time": Variable(jnp.zeros(())),
+            "state": Variable(side.astype(int), ("oscillator",)),
+            "decided": Variable(self.settled(value)),
+            "settling_time": Variable(jnp.abs(value[0][0])),  # a number that is known
         }
 
     def patient(self):
-        return Hasty(waits=True)
-
-    def name(self, code, model):
-        return "forward" if code[0] else "back"
+        return Side(hasty=False)
 
 
-class Clock(Hasty):
-    """In another state after some time, whatever moves."""
+class Holed(AbstractRegion):
+    """A region in a part of which runs fail."""
 
-    def update(self, accumulator, step):
-        return jnp.where(step.t1 > 3.0, -1.0, jnp.ones_like(accumulator))
+    region: Ranges
+    fails: Array = eqx.field(converter=jnp.asarray)
 
-    def patient(self):
-        return Clock(waits=True)
+    def dimension(self, model):
+        return 2
+
+    def start(self, model, point):
+        x, v = self.region.start(model, point)
+        return jnp.where(point[0] < self.fails, jnp.nan, x), v
 
 
-@pytest.mark.long
-def test_shares_that_change_by_more_than_their_bars_say_so():
-    with pytest.warns(UserWarning, match="^100% of .* at 4 t1, more .* at t1 = 1,"):
-        found = basin_shares(ONE, Box(), classify=Clock(), t1=1.0, half_width=0.2, checked=8)
-    assert found.changed_later == 1.0
+RANGES = Ranges(([-2.0], [-1.0]), ([2.0], [1.5]))
+DAMPINGS, SPRINGS, CUBICS = (0.2, 0.4), (-1.0, -0.7, -1.2), (1.0, 0.8, 1.5)
+POINTS = Points(2, 4, "sobol", 0).more(32).reshape(-1, 2)  # the starts of seed 0
+X, V = np.array([-2.0, -1.0])[:, None] + np.array([4.0, 2.5])[:, None] * POINTS.T
+
+
+def wells(fails=0.0, *, hasty=False, t1=500.0, **how):
+    """Over damping and pairs of springs, four replicates of 32 starts; one program."""
+    over = {"damping": DAMPINGS, "spring": {"stiffness": SPRINGS, "cubic": CUBICS}}
+    how = {"half_width": 0.5, "replicates": 4, "most": 128, "lanes": 64, "checked": 128} | how
+    region = Holed(RANGES, fails)
+    return basin_shares(double_well(0.1), region, over, classify=Side(hasty), t1=t1, **how)
+
+
+def on_the_right(damping, k, times):
+    """By SciPy, all starts together, of shape (times, starts)."""
+
+    def rate(t, y):
+        x, v = y.reshape(2, -1)
+        return np.concatenate([v, -damping * v - SPRINGS[k] * x - CUBICS[k] * x**3])
+
+    start = np.concatenate([X, V])
+    run = solve_ivp(rate, (0, times[-1]), start, "DOP853", times, rtol=1e-10, atol=1e-12)
+    return run.y[: X.size].T > 0
+
+
+@pytest.mark.slow
+def test_shares_of_two_wells_are_those_that_scipy_counts(monkeypatch):
+    seen = []
+
+    def verdicts(model, states, **how):
+        seen.append((float(model.damping), float(model.cubic), len(states[0])))
+        return [SimpleNamespace(verdict=f"at {float(model.damping):g}") for _ in states[0]]
+
+    monkeypatch.setattr(runs, "verdicts", verdicts)
+    found = wells(judge=True)
+    assert found.share.dims == ("damping", "spring", "state")
+    assert found.stiffness.dims == ("spring",)
+    assert np.all(found.misclassified == 0)
+    for i, damping in enumerate(DAMPINGS):
+        for k in range(3):
+            [right] = on_the_right(damping, k, [150.0])
+            own = found.isel(damping=i, spring=k)
+            assert float(own.share.sel(state="right")) == np.mean(right)
+            assert float(own.share.sel(state="left")) == 1 - np.mean(right)
+            for state, ended in (("right", right), ("left", ~right)):
+                one = own.sel(state=state)
+                at = np.flatnonzero(np.isclose(X, one.start_displacement[0], rtol=1e-12))
+                np.testing.assert_allclose(V[at], one.start_velocity)
+                assert ended[at].all()
+                assert float(one.settling_time) == pytest.approx(np.median(abs(X[ended])))
+                assert one.verdict == f"at {damping:g}"
+            assert (damping, CUBICS[k], 2) in seen
+    assert found.start_velocity.attrs["units"] == "1"
+    assert np.all(found.verdict.sel(state="undecided") == "")
+
+
+def test_runs_that_fail_are_a_state_and_no_others():
+    found = wells(0.25, checked=0)
+    assert sorted(found.state.values[:2].tolist()) == ["left", "right"]
+    assert found.state.values[2:].tolist() == ["undecided", "failed"]
+    assert np.all(found.share.sel(state="failed") == np.mean(POINTS[:, 0] < 0.25))
+    assert np.allclose(found.share.sum("state"), 1)
+    assert np.allclose(found.share_at_end, found.share.where(found.state != "failed", 0))
+
+
+def test_what_was_decided_too_early_is_a_part_of_the_bar():
+    with pytest.warns(
+        UserWarning, match=r"of the starts are in another state at 4 t1, more .* at"
+    ):
+        found = wells(hasty=True, t1=2.5)
+    bars = wells(hasty=True, t1=2.5, checked=0)
+    before = X > 0
+    for i, damping in enumerate(DAMPINGS):
+        for k in range(3):
+            after, later = on_the_right(damping, k, [2.5, 10.0])
+            own, plain = found.isel(damping=i, spring=k), bars.isel(damping=i, spring=k)
+            assert own.misclassified == pytest.approx(np.mean(before != after))
+            assert own.changed_later == pytest.approx(np.mean(after != later))
+            for state, lost in (("right", before & ~after), ("left", ~before & after)):
+                gained = (before != after) & ~lost
+                one, alone = own.sel(state=state), plain.sel(state=state)
+                assert one.share == alone.share
+                low, high = float(alone.low) - np.mean(lost), float(alone.high) + np.mean(gained)
+                assert float(one.low) == pytest.approx(max(low, 0))
+                assert float(one.high) == pytest.approx(min(high, 1))
     assert "of the starts are in another state" in found.attrs["warning"]
 
 
-@pytest.mark.long
-def test_what_was_decided_too_early_is_a_part_of_the_bar():
-    # A quarter of a period turns most velocities round.
-    box = Box(displacement=(0.6, 2.0), velocity=(0.1, 1.0))
-    found = basin_shares(ONE, box, classify=Hasty(), t1=2.0, half_width=0.05)
-    assert (
-        found.state.values.tolist() == ["forward", "undecided", "back"] or found.misclassified > 0
-    )
-    assert found.misclassified > 0.8
-    forward = found.sel(state="forward")
-    assert forward.share == 1
-    assert forward.low < 0.2
-    assert found.high.sel(state="back") > 0.8
-    assert found.share.sel(state="back") == 0
-
-
-def test_dimensions_of_the_result_are_no_parameters():
+def test_what_a_share_needs_is_said(shares):
+    region = Ranges(([-2.0], [-2.0]), ([2.0], [2.0]))
+    with pytest.raises(ValueError, match="give `classify` for other models"):
+        basin_shares(double_well(0.1), region)
+    with pytest.raises(ValueError, match="give `above`"):
+        basin_shares(double_well(0.1), region, classify=VibratingMasses())
+    with pytest.raises(ValueError, match="must make the tuple"):
+        basin_shares(LuGre(), region, classify=Well())
+    with pytest.raises(ValueError, match=r"`t1` must be at least 20, .* but is 10"):
+        basin_shares(ONE, Box(), t1=10.0)
+    with pytest.raises(ValueError, match="`store` is none of `basin_shares`"):
+        basin_shares(ONE, Box(), store="here.zarr")
     with pytest.raises(ValueError, match="dimensions of the result are called so"):
         basin_shares(ONE, Box(), {"state": [1.0]})
     with pytest.raises(ValueError, match="neither a number of the chain"):
         basin_shares(ONE, Box(), {"speed": [1.0]})
-
-
-def test_differences_need_neighbours(shares):
     with pytest.raises(ValueError, match="swept dimension of at least two values"):
         share_differences(shares, "state")
     with pytest.raises(ValueError, match="swept dimension of at least two values"):
@@ -381,83 +379,26 @@ def test_differences_need_neighbours(shares):
 
 
 @pytest.mark.long
-def test_several_dimensions_and_numbers_that_run_together():
-    over = {"belt_speed": [1.4, 1.5], "set": {"damping_ratio": [0.05, 0.06], "v_ref": [0.5, 0.5]}}
-    found = basin_shares(ONE, Box(), over, half_width=0.05)
-    assert found.share.dims == ("belt_speed", "set", "state")
-    assert found.damping_ratio.dims == ("set",)
-    assert np.all(found.share.sel(state="sliding").diff("set") > 0)
-    assert np.all(found.share.sel(state="sliding").diff("belt_speed") > 0)
+def test_states_are_judged_on_demand():
+    over = {"belt_speed": [1.4, 1.9]}
+    found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
+    sliding, vibrating = (found.verdict.sel(state=s).values for s in ("sliding", "vibrating"))
+    assert sliding.tolist() == ["steady sliding", "steady sliding"]
+    assert vibrating.tolist() == ["periodic", ""]
 
 
 @pytest.mark.long
-def test_shares_of_a_smoothed_chain():
-    found = basin_shares(ONE.with_(width=1e-2), Box(), half_width=0.05, t1=300.0, checked=0)
-    dry = basin_shares(ONE, Box(), half_width=0.05, checked=0)
-    assert np.abs(found.share[0] - dry.share[0]) < 0.05
-
-
-def test_a_belt_that_runs_the_other_way_has_the_mirrored_shares(shares):
-    ahead = shares.sel(belt_speed=1.4)
-    box = Box(displacement=(-2, 2), velocity=(-2, 0))
-    back = basin_shares(ONE.with_(belt_speed=-1.4), box, half_width=0.01, checked=0, seed=5)
-    assert back.state.values.tolist() == shares.state.values.tolist()
-    assert np.all((back.low <= ahead.high) & (ahead.low <= back.high))
-
-
-@pytest.mark.long
-def test_equation_8_states_under_all_pushes_of_nothing():
-    # A region that is a point: one state, its share known for certain but for the sample's size.
-    region = Sampler(lambda chain, point: equation_8(chain, 2), 1)
-    chain = paper_chain(6, belt_speed=1.5, width=None)
-    found = basin_shares(chain, region, replicates=4, half_width=0.05, t1=200.0, checked=4)
-    assert found.state.values.tolist() == ["2 vibrate", "undecided"]
-    assert found.share[0] == 1
-
-
-WELLS = Ranges(([-2.0], [-2.0]), ([2.0], [2.0]))
-
-
-@pytest.mark.slow
-def test_shares_of_two_wells_are_those_that_scipy_counts():
-    how = {"classify": Well(), "t1": 500.0, "half_width": 0.5, "replicates": 4, "most": 128}
-    found = basin_shares(double_well(0.1), WELLS, {"damping": [0.2, 0.4]}, **how)
-    points = Points(2, 4, "sobol", 0).more(32).reshape(-1, 2)  # the same starts
-    for damping in (0.2, 0.4):
-        right = [by_scipy(damping, 4.0 * point - 2.0)[0] > 0 for point in points]
-        share = found.share.sel(damping=damping)
-        assert float(share.sel(state="right")) == np.mean(right)
-        assert float(share.sel(state="left")) == 1 - np.mean(right)
-    first = found.sel(damping=0.4, state="right")
-    start = [float(first[f"start_{name}"][0]) for name in ("displacement", "velocity")]
-    assert by_scipy(0.4, start)[0] > 0
-    assert found.start_velocity.attrs["units"] == "1"
-
-
-@pytest.mark.long
-def test_the_verdicts_on_the_wells_are_equilibria():
-    how = {"classify": Well(), "t1": 500.0, "half_width": 0.5, "replicates": 4, "most": 128}
-    found = basin_shares(double_well(0.2), WELLS, judge=True, **how)
-    assert found.verdict.values.tolist() == ["steady sliding", "steady sliding", ""]
-
-
-@pytest.mark.long
-def test_cells_that_vibrate_are_counted_above_an_amplitude():
-    """Van der Pol's oscillator runs to 0 from within its unstable cycle if mu < 0."""
-    cells = VanDerPol(jnp.array([-0.5, 0.5]))
-    region = Ranges(([-1.0, 0.1], [-1.0, 0.1]), ([1.0, 1.0], [1.0, 1.0]))
-    found = basin_shares(
-        cells, region, classify=VibratingMasses(by="masses", above=1.0), t1=200.0, checked=4,
-        half_width=0.5, replicates=4, most=128,
-    )  # fmt: skip
-    assert found.state.values.tolist() == ["2 vibrates", "undecided"]
-    assert found.share.values.tolist() == [1.0, 0.0]
-
-
-def test_what_a_share_needs_of_other_models_is_said():
-    with pytest.raises(ValueError, match="give `classify` for other models"):
-        basin_shares(double_well(0.1), WELLS)
-    with pytest.raises(ValueError, match="give `above`"):
-        basin_shares(double_well(0.1), WELLS, classify=VibratingMasses())
-    with pytest.raises(ValueError, match="must make the tuple"):
-        basin_shares(LuGre(), WELLS, classify=Well())
+def test_rotated_patterns_are_equally_likely():
+    chain = paper_chain(3, belt_speed=1.5, width=None)
+    region = Box(displacement=(-2, 2), velocity=(0, 2))
+    how = {"points": "random", "half_width": 0.02, "t1": 300.0, "checked": 0, "seed": 1}
+    masses, ring = (
+        basin_shares(chain, region, classify=VibratingMasses(by=by), **how)
+        for by in ("masses", "ring")
+    )
+    for count in (1, 2):
+        own = masses.share.values[masses.vibrating == count] * masses.attrs["starts"]
+        assert len(own) == 3
+        assert scipy.stats.chisquare(own).pvalue > 0.05
+    assert np.allclose(ring.share[:-1], masses.share.groupby("vibrating").sum())
+    assert len(ring.state) == 5
