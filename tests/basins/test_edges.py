@@ -1,7 +1,10 @@
-"""Edge states: the unstable cycle for one mass, refused input, and reported failures."""
+"""Edge states: of flows in closed form, of two wells, and of one mass the unstable cycle."""
 
+import importlib
+from types import SimpleNamespace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +12,6 @@ import pytest
 from systems.double_well import Well, by_scipy, double_well
 
 from jaxchain import (
-    Amplitude,
     PeakTimes,
     equation_8,
     excited_state,
@@ -19,10 +21,144 @@ from jaxchain import (
     steady_sliding,
 )
 from jaxchain.basins import edge_state
-from jaxchain.observers import Section, mean_period
-from jaxchain.result import name_of
+from jaxchain.observers import mean_period
+from jaxchain.result import Result, name_of
+
+from .planes import Plane
 
 FAST = 1.5
+module = importlib.import_module("jaxchain.basins.edges")
+
+
+def lane(found, k):
+    return jax.tree.map(lambda a: a[k], found)
+
+
+# Two masses in closed form: x = r cos phi, v = -r sin phi.  Of the one r - a grows until r is 0 or
+# that of vibration; of the other r decays.
+GROWTH, LIVELY = 0.1, 2.0
+# Belt speed, a, decay, frequency of the other; r of the mass at both starts; patience; outcome.
+FLOWS = {
+    "usual": (FAST, 1.25, 0.1, 1.0, 0.5, 1.9, 2e4, "successful"),
+    "low": (1.1, 0.4, 0.1, 1.0, 0.1, 1.9, 2e4, "successful"),
+    "turned": (FAST, 1.25, 0.1, 1.0, 1.9, 0.5, 2e4, "successful"),
+    "mirrored": (-FAST, 1.25, 0.1, 1.0, 0.5, 1.9, 2e4, "successful"),
+    "two frequencies": (FAST, 1.25, 0.0, 2.0**0.5, 0.5, 1.9, 2e4, "successful"),
+    "slow decay": (FAST, 1.25, 1e-3, 1.0, 0.5, 1.9, 2e4, "not_settled"),
+    "both die": (FAST, 1.25, 0.1, 1.0, 0.5, 0.7, 2e4, "same_state"),
+    "both vibrate": (FAST, 1.25, 0.1, 1.0, 1.5, 1.9, 2e4, "same_state"),
+    "too little time": (FAST, 1.25, 0.1, 1.0, 0.5, 1.9, 400.0, "undecided"),
+    "near rest": (FAST, 0.15, 0.1, 1.0, 0.05, 1.9, 2e4, "too_close"),
+    "nan": (np.nan, 1.25, 0.1, 1.0, 0.5, 1.9, 2e4, "nonfinite"),
+}
+
+
+def flow(chain, start, t1, *, observe, **how):
+    """What `simulate` gives; chain numbers that it does not need hold those of the flow."""
+    del how
+    x, v = start
+    r, phase = jnp.hypot(x, v), jnp.arctan2(-v, x)
+
+    def at(t):
+        tracked = chain.law.v_ref + (r[1] - chain.law.v_ref) * jnp.exp(GROWTH * t)
+        size = jnp.stack([r[0] * jnp.exp(-chain.damping_ratio * t), tracked]).clip(0.0, LIVELY)
+        turned = phase + jnp.stack([chain.coupling, 1.0]) * t
+        return size, size * jnp.cos(turned), -size * jnp.sin(turned)
+
+    size, *end = at(t1)
+    amplitude = 0.5 * (r + size)
+    second = jnp.where(size == LIVELY, 1.0, 0.0)
+    if len(observe) > 1 and isinstance(observe[1], module.Section):
+        turns = jnp.mod(-phase[1], 2 * jnp.pi) + 2 * jnp.pi * jnp.arange(24)
+        _, *states = jax.vmap(at)(turns)
+        second = jax.tree.map(
+            lambda a: jnp.where(jnp.reshape(turns <= t1, (24,) + (1,) * (a.ndim - 1)), a, jnp.nan),
+            (turns, *states),
+        )
+    good = jnp.isfinite(chain.belt_speed)
+    result = Result.where(good, Result.successful, Result.nonfinite)
+    return SimpleNamespace(state=tuple(end), observed=(amplitude, second), result=result)
+
+
+@pytest.fixture(scope="module")
+def edges():
+    """All in one program."""
+    columns = [jnp.array(column) for column in list(zip(*FLOWS.values(), strict=True))[:-1]]
+
+    @jax.jit
+    @jax.vmap
+    def found(speed, a, decay, frequency, low, high, patience):
+        chain = paper_chain(2, belt_speed=speed, width=None)
+        chain = chain.with_(v_ref=a, damping_ratio=decay, coupling=frequency)
+        starts = ((jnp.stack([0.3, r]), jnp.stack([0.2, 0.1])) for r in (low, high))
+        return edge_state(chain, *starts, time=500.0, patience=patience)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "simulate", flow)
+        # A program of its own, so that no other test is given it.
+        patch.setattr(module, "_edge", eqx.filter_jit(module._edge.__wrapped__))
+        states = found(*columns)
+    return {name: lane(states, k) for k, name in enumerate(FLOWS)}
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_the_edge_of_a_flow_is_where_it_neither_grows_nor_decays(edges, name):
+    edge, (_, a, _, frequency, low, high, _, why) = edges[name], FLOWS[name]
+    assert name_of(edge.result) == why
+    if why not in ("successful", "not_settled"):
+        assert edge.message
+        for part in (*edge.state, *edge.below, edge.amplitude, edge.period, edge.distance):
+            assert np.isnan(part).all()
+        assert not bool(edge.periodic)
+        return
+    radii = [float(jnp.hypot(*part)[1]) for part in (edge.state, edge.below, edge.above)]
+    np.testing.assert_allclose(radii, a, rtol=0, atol=1e-9)
+    assert (radii[1] < a < radii[2]) if low < high else (radii[2] < a < radii[1])
+    assert float(edge.amplitude[1]) == pytest.approx(a, abs=1e-6)
+    assert 0 < float(edge.distance) <= 1e-10 * LIVELY
+    assert edge.vibrates.tolist() == [[False, low > high], [False, low < high]]
+    assert int(edge.mass) == 1
+    assert bool(edge.periodic) is (name != "two frequencies" and why == "successful")
+    if edge.periodic:
+        assert float(edge.period) == pytest.approx(2 * np.pi, abs=1e-9)
+        assert float(edge.gap) < 1e-6
+    # How it was followed.
+    known = np.isfinite(edge.distances)
+    count = known.sum()
+    assert 5 <= count <= known.size
+    assert known[:count].all()
+    np.testing.assert_allclose(edge.times, 20.0 * np.arange(1, 26))
+    # Both ends leave the edge until the bracket is cut again.
+    growth = np.asarray(edge.distances[:count])
+    assert growth.max() < 1e-6 * LIVELY * np.exp(20.0 * GROWTH)
+    ratio = growth[1:] / growth[:-1]
+    grows = ratio[ratio > 1]
+    assert len(grows) > count / 2
+    np.testing.assert_allclose(grows, np.exp(20.0 * GROWTH), rtol=0.2)
+    np.testing.assert_allclose(edge.amplitudes[:count, 1], a, atol=1e-5)
+    assert not np.isfinite(edge.amplitudes[count:]).any()
+
+
+def test_its_cycle_is_closed_from_the_state_and_the_period(edges, monkeypatch):
+    seen = []
+
+    def search(*given, **how):
+        seen.extend((*given, how))
+        raise RuntimeError("no search")
+
+    monkeypatch.setattr(module, "find_limit_cycle", search)
+    edge = edges["usual"]
+    with pytest.raises(RuntimeError, match="no search"):
+        edge.cycle(tolerance=1e-7)
+    chain, (state, period), how = seen
+    assert chain is edge.chain
+    assert state is edge.state
+    assert period is edge.period
+    assert how == {"mass": 1, "tolerance": 1e-7}
+    assert "EdgeState: successful" in repr(edge)
+    for name in ("both die", "two frequencies"):
+        with pytest.raises(ValueError, match="not periodic"):
+            edges[name].cycle()
 
 
 def edge_of(speed, weak, strong, n=1, width=None, **how):
@@ -32,116 +168,6 @@ def edge_of(speed, weak, strong, n=1, width=None, **how):
     return edge_state(chain, *starts, **how)
 
 
-def lane(found, k):
-    return jax.tree.map(lambda a: a[k], found)
-
-
-def turning_point(chain, state):
-    """The displacement where a mass that vibrates turns back."""
-    mass = chain.n // 2
-    run = simulate(chain, state, 10.0, observe=Section(mass, 1), rtol=1e-11)
-    return float(run.observed[1][0, mass])
-
-
-# Belt speed and both pulls: edges, and what has none.
-LANES = {
-    "slow": (1.3, 0.3, 2.5),
-    "usual": (FAST, 0.5, 2.5),
-    "fast": (1.7, 0.5, 2.5),
-    "turned": (FAST, 2.5, 0.5),
-    "mirrored": (-FAST, -0.5, -2.5),
-    "both die": (FAST, 0.5, 0.7),
-    "both vibrate": (FAST, 2.2, 2.5),
-    "beyond the fold": (2.0, 0.5, 2.5),
-    "nan": (np.nan, 0.5, 2.5),
-}
-
-
-@pytest.fixture(scope="module")
-def edges():
-    """All lanes in one program."""
-    columns = [jnp.array(column) for column in zip(*LANES.values(), strict=True)]
-    found = jax.jit(jax.vmap(edge_of))(*columns)
-    return {name: lane(found, k) for k, name in enumerate(LANES)}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["slow", "usual", "fast", "turned"])
-def test_the_edge_of_one_mass_is_the_unstable_cycle(edges, name):
-    edge, speed = edges[name], LANES[name][0]
-    chain = paper_chain(1, belt_speed=speed, width=None)
-    assert name_of(edge.result) == "successful"
-    assert bool(edge.periodic)
-    exact = find_limit_cycle(chain, branch="unstable")
-    np.testing.assert_allclose(edge.amplitude, exact.amplitude, rtol=0, atol=1e-7)
-    assert float(edge.period) == pytest.approx(float(exact.period), abs=1e-8)
-    # Without a step of Newton's method.
-    cut, true = (turning_point(chain, found.state) for found in (edge, exact))
-    assert cut == pytest.approx(true, abs=1e-7)
-    assert 0 < float(edge.distance) < 1e-9
-    assert np.array_equal(edge.vibrates[:, 0], [name == "turned", name != "turned"])
-
-
-@pytest.mark.slow
-def test_the_bracket_holds_the_edge(edges):
-    """From both ends, 1e-10 apart, runs go to the two states."""
-    edge = edges["usual"]
-    chain = paper_chain(1, belt_speed=FAST, width=None)
-    dying, vibrating = (
-        simulate(chain, y, 1500.0, observe=Amplitude(20.0), rtol=1e-11).observed[0]
-        for y in (edge.below, edge.above)
-    )
-    assert float(dying) < 1e-2
-    assert float(vibrating) > FAST
-
-
-@pytest.mark.slow
-def test_the_record_says_how_the_edge_was_followed(edges):
-    edge = edges["usual"]
-    known = np.isfinite(edge.distances)
-    count = known.sum()
-    assert 5 <= count < known.size
-    assert known[:count].all()
-    np.testing.assert_allclose(edge.times, 20.0 * np.arange(1, 51))
-    # Both ends leave the edge until the bracket is cut again.
-    growth = np.asarray(edge.distances[:count])
-    assert growth.max() < 1e-5
-    assert (growth[1:] > growth[:-1]).sum() > count / 2
-    np.testing.assert_allclose(
-        edge.amplitudes[:count], edge.amplitude[None] + np.zeros((count, 1)), atol=1e-5
-    )
-    assert not np.isfinite(edge.amplitudes[count:]).any()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("both die", "same_state"), ("both vibrate", "same_state"),
-        ("beyond the fold", "same_state"), ("nan", "nonfinite"),
-    ],
-)  # fmt: skip
-def test_what_has_no_edge_says_so_and_has_no_numbers(edges, name, why):
-    edge = edges[name]
-    assert name_of(edge.result) == why
-    assert edge.message
-    for part in (*edge.state, *edge.below, edge.amplitude, edge.period, edge.distance):
-        assert np.isnan(part).all()
-    assert not bool(edge.periodic)
-    with pytest.raises(ValueError, match="not periodic"):
-        edge.cycle()
-
-
-@pytest.mark.slow
-def test_a_belt_that_runs_the_other_way_has_the_mirror_image(edges):
-    edge, mirrored = edges["usual"], edges["mirrored"]
-    for a, b in zip((*edge.below, *edge.above), (*mirrored.below, *mirrored.above), strict=True):
-        np.testing.assert_allclose(a, -b, rtol=0, atol=1e-11)
-    for name in ("amplitude", "period", "distance", "amplitudes"):
-        np.testing.assert_allclose(getattr(edge, name), getattr(mirrored, name), atol=1e-11)
-
-
-@pytest.mark.slow
 def test_what_decides_the_program_must_not_be_traced():
     starts = ((jnp.ones(1), jnp.zeros(1)), (jnp.full(1, 2.0), jnp.zeros(1)))
     chain = paper_chain(1, width=None)
@@ -158,52 +184,27 @@ def test_an_edge_state_is_not_differentiated(differentiate):
 
 
 @pytest.mark.long
-def test_the_cycle_closes_at_the_tracked_state(edges):
-    edge = edges["usual"]
+def test_the_edge_of_one_mass_is_the_unstable_cycle():
+    """By SciPy, also near the fold, at 1.8366; from both ends runs go to the two states."""
+    abouts = {1.16: 0.187, 1.3: 0.79, FAST: 1.25, 1.7: 1.61, 1.83: 1.84}
+    found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.05, 2.5)))(jnp.array(list(abouts)))
+    assert np.all(found.successful)
+    assert np.all(found.periodic)
+    for k, (speed, about) in enumerate(abouts.items()):
+        edge, plane = lane(found, k), Plane.paper(speed)
+        right = plane.cycle(0.9 * about, 1.1 * about)
+        left, period = float(right - 2 * edge.amplitude[0]), plane.back(right)[1]
+        assert abs(plane.half(left) - right) < 1e-6, speed
+        assert float(edge.period) == pytest.approx(period, abs=1e-7)
+        assert edge.vibrates[:, 0].tolist() == [False, True]
+    edge = lane(found, 2)
+    for end, vibrates in ((edge.below, False), (edge.above, True)):
+        run = simulate(edge.chain, end, 1500.0, observe=module.Amplitude(20.0), rtol=1e-11)
+        assert (run.observed[0] > FAST) == vibrates
+        assert vibrates or run.observed[0] < 1e-2
     cycle = edge.cycle()
     assert cycle.stable is False
     assert float(abs(cycle.amplitude - edge.amplitude)[0]) < 1e-7
-    assert "EdgeState: successful" in repr(edge)
-
-
-@pytest.mark.long
-def test_edges_near_the_hopf_speed_and_near_the_fold():
-    """1.151 and 1.8366 bound the belt speeds at which one mass has two states."""
-    found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.05, 2.5)))(jnp.array([1.16, 1.83, 1.8365]))
-    assert np.all(found.successful)
-    slow = find_limit_cycle(paper_chain(1, belt_speed=1.16, width=None), branch="unstable")
-    assert float(found.amplitude[0, 0]) == pytest.approx(float(slow.amplitude[0]), abs=1e-6)
-    # To here the search for the cycle finds the way along its branch alone.
-    fast = None
-    for speed in (1.78, 1.8, 1.82, 1.83):
-        chain = paper_chain(1, belt_speed=speed, width=None)
-        fast = find_limit_cycle(chain, fast, branch="unstable")
-        assert not fast.stable
-    assert fast is not None
-    assert float(found.amplitude[1, 0]) == pytest.approx(float(fast.amplitude[0]), abs=1e-6)
-    # And next to the fold it ends on the stick-slip cycle, but not from here.
-    last = lane(found, 2)
-    cycle = last.cycle()
-    assert cycle.stable is False
-    np.testing.assert_allclose(last.amplitude, cycle.amplitude, rtol=0, atol=1e-6)
-
-
-@pytest.mark.long
-def test_an_edge_that_may_have_been_taken_for_quiet_is_not_returned():
-    """0.0017 above the Hopf speed the cycle's amplitude is 6 % of the other one's."""
-    edge = jax.jit(lambda v: edge_of(v, 0.02, 2.5, time=200.0, near=1e-2, far=0.1, patience=2e5))(
-        1.153
-    )
-    assert name_of(edge.result) == "too_close"
-    assert np.isnan(edge.amplitude).all()
-
-
-@pytest.mark.long
-def test_the_edge_of_a_smoothed_mass():
-    found = jax.jit(lambda v: edge_of(v, 0.5, 2.5, width=0.02, rtol=1e-9, near=1e-9))(FAST)
-    exact = find_limit_cycle(paper_chain(1, belt_speed=FAST, width=0.02), branch="unstable")
-    assert name_of(found.result) == "successful"
-    np.testing.assert_allclose(found.amplitude, exact.amplitude, rtol=0, atol=1e-6)
 
 
 @pytest.mark.long
@@ -212,8 +213,7 @@ def test_one_vibrating_mass_in_twenty():
     found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.2, 2.5, n=20)))(speeds)
     for k, speed in enumerate((1.5, 1.7)):
         edge = lane(found, k)
-        chain = paper_chain(20, belt_speed=speed, width=None)
-        exact = find_limit_cycle(chain, branch="unstable")
+        exact = find_limit_cycle(paper_chain(20, speed, width=None), branch="unstable")
         assert name_of(edge.result) == "successful"
         assert int(edge.mass) == 10
         np.testing.assert_allclose(edge.amplitude, exact.amplitude, rtol=0, atol=1e-6)
@@ -260,7 +260,6 @@ def test_edges_between_one_two_and_three_vibrating_masses():
 
 LEFT, RIGHT = ([-0.8], [0.6]), ([0.5], [0.6])
 BETWEEN: dict[str, Any] = {"classify": Well(), "window": 2.0, "patience": 500.0}
-HASTY: dict[str, Any] = {**BETWEEN, "patience": 1.0}
 
 
 @pytest.mark.slow
@@ -282,6 +281,10 @@ def test_the_edge_between_two_wells_is_the_stable_manifold_of_their_saddle():
     np.testing.assert_allclose(edge.state[1] / edge.state[0], shrinks, atol=1e-4)
     for side, end in ((False, edge.below), (True, edge.above)):
         assert (by_scipy(0.5, np.ravel(end))[0] > 0) == side
+    both = edge_state(wells, RIGHT, ([0.6], [0.6]), time=7.0, **BETWEEN)
+    assert name_of(both.result) == "same_state"
+    late = edge_state(wells, LEFT, RIGHT, time=7.0, **BETWEEN | {"patience": 1.0})
+    assert name_of(late.result) == "undecided"
 
 
 @pytest.mark.long
@@ -291,10 +294,6 @@ def test_the_edge_between_two_wells_ends_in_their_saddle():
     assert edge.vibrates.tolist() == [[1], [0]]
     np.testing.assert_allclose(edge.state, 0.0, atol=1e-7)
     assert not edge.periodic
-    both = edge_state(double_well(0.5), RIGHT, ([0.6], [0.6]), time=7.0, **BETWEEN)
-    assert name_of(both.result) == "same_state"
-    late = edge_state(double_well(0.5), LEFT, RIGHT, time=7.0, **HASTY)
-    assert name_of(late.result) == "undecided"
 
 
 @pytest.mark.long
