@@ -34,7 +34,7 @@ def made():
     cubes = {}
     for name, (region, model) in REGIONS.items():
         dimension = region.dimension(model)
-        corners = np.zeros((2, dimension)) + [[0.0], [1.0]]
+        corners = np.repeat([[0.0], [1.0]], dimension, axis=1)
         cubes[name] = np.concatenate([corners, rng.random((4096, dimension))])
 
     @jax.jit

@@ -200,7 +200,6 @@ def test_the_share_is_that_of_another_quadrature(speed):
     assert float(found.gap) < 1e-12
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("speed", [1.2, 1.5])
 @pytest.mark.parametrize("width", [None, 0.05])
 def test_edges_of_the_box_may_cut_the_cycle_anywhere(speed, width):
@@ -284,31 +283,6 @@ def test_the_mirror_image_has_the_same_share(chain):
     assert float(ahead.share) == pytest.approx(float(back.share), abs=1e-14)
     assert (float(ahead.up), float(ahead.down)) == (float(back.down), float(back.up))
     np.testing.assert_array_equal(ahead.state, -jnp.stack(back.state))
-
-
-@pytest.mark.long
-def test_units_of_length_and_time_do_not_matter():
-    """x -> c x with loads and belt speed, v_ref; time by the stiffness."""
-    c, omega = 2.0, 1.5
-    chain = Chain(
-        1, jc.ExponentialDecay(1.0, 0.5, 0.5 * c * omega), belt_speed=1.5 * c * omega,
-        damping_ratio=0.05 * omega, normal_load=np.array([c * omega**2]),
-        stiffness=np.array([omega**2]),
-    )  # fmt: skip
-    box = Box((-2 * c, 2 * c), (0, 2 * c * omega))
-    assert share(chain, box) == pytest.approx(share(DRY), abs=1e-12)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("speed", [1.2, -1.7])
-def test_a_blow_a_little_lighter_dies_and_a_heavier_one_vibrates(speed):
-    chain = DRY.with_(belt_speed=speed)
-    x, _ = jc.steady_sliding(chain)
-    for sign, kick in zip((1.0, -1.0), blow_of_one_mass(chain), strict=True):
-        for share_of, vibrates in ((0.99, False), (1.01, True)):
-            start = x, jnp.full(1, sign * share_of * float(kick))
-            run = jc.simulate(chain, start, 1500.0, observe=jc.Amplitude(window=20.0))
-            assert (float(run.observed[0]) > 0.5 * abs(speed)) == vibrates
 
 
 @pytest.mark.long
