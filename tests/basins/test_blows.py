@@ -126,10 +126,10 @@ def test_of_an_ellipsoid_it_is_the_shortest_axis(monkeypatch):
 
 
 def test_the_normal_and_the_derivative_are_those_of_the_energy_at_a_time(monkeypatch):
-    """The energy is proportional to (belt speed)^3 kick . Q kick, the size to its power -3/2."""
+    """It falls with (belt speed)^3 kick . Q kick, so the size goes with the power -3/2."""
 
     def energy(chain, kick, time):
-        return jnp.exp(time) * chain.belt_speed**3 * (kick @ QUADRIC @ kick)
+        return -jnp.exp(time) * chain.belt_speed**3 * (kick @ QUADRIC @ kick)
 
     monkeypatch.setattr(blows, "energy_after", energy)
     time, size, kick = jnp.asarray(0.3), jnp.asarray(0.7), jnp.array([0.1, -0.4])
