@@ -121,9 +121,16 @@ def usual_signals() -> Iterator[None]:
         signal.signal(number, handler)
 
 
+# Folders in the order of the time that they take: the longest begins first.
+LONGEST = ("boundaries", "cycles", "model", "tests", "simulation", "basins", "inverse", "sweeps")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Quick tests first: a sort is stable, so each half keeps its order."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is not None)
+    """One worker runs all files of a folder, because these share programs."""
+    ranks = {folder: rank for rank, folder in enumerate(LONGEST)}
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(item.path.parent.name))
+    items.sort(key=lambda item: ranks.get(item.path.parent.name, len(ranks)))
 
 
 @pytest.fixture

@@ -221,21 +221,22 @@ def test_a_hopf_point_in_the_load_is_numpys_and_smoothing_changes_no_coefficient
 
 
 def test_a_branch_of_sliding_ends_where_the_belt_stops():
-    chain = paper_chain(3, belt_speed=1.0, width=None)
+    """Modes of equal masses cross together, two of two, which must not cancel."""
+    chain = paper_chain(2, belt_speed=1.0, width=None)
     for sign in (1, -1):
         own = chain.with_(belt_speed=sign)
         branch = continue_equilibrium(own, None, "belt_speed", (-2.0, 1.5))
         ends = (branch.ended_first, branch.ended)
         assert ends == ("belt_speed = 0", "left_bounds")[::sign]
         np.testing.assert_allclose(
-            branch.u[:, :3], sign * np.tile(friction(np.abs(branch.p)), (3, 1)).T, atol=1e-12
+            branch.u[:, :2], sign * np.tile(friction(np.abs(branch.p)), (2, 1)).T, atol=1e-12
         )
         (point,) = branch.of_kind("hopf")
         assert point.p == pytest.approx(sign * np.log(10) / 2, abs=1e-9)
         np.testing.assert_array_equal(branch.stable, np.abs(branch.p) > np.abs(point.p))
         stop = 0 if sign > 0 else -1
         assert branch.p[stop] == 0.0
-        np.testing.assert_allclose(branch.u[stop, :3], sign, atol=1e-13)  # p mu_st / k
+        np.testing.assert_allclose(branch.u[stop, :2], sign, atol=1e-13)  # p mu_st / k
     assert "The belt stops there" in branch.message
     assert branch.to_dataset().ended == "belt_speed = 0"
 
