@@ -9,6 +9,8 @@ Then every public function of a chain, dry and with a narrow width, which answer
 the width costs; or it says in words what to do with a dry chain.
 """
 
+# pyright: reportArgumentType=false, reportCallIssue=false, reportIncompatibleMethodOverride=false
+
 import functools
 import importlib
 import inspect
@@ -200,7 +202,7 @@ def hopf_speed(name):
         tanh = np.tanh(speed / WIDTH)
         return 0.1 + slope * tanh + mu(speed) * (1 - tanh**2) / WIDTH
 
-    return float(brentq(damping, 0.5, 2.0, xtol=1e-14))  # pyright: ignore[reportArgumentType]
+    return float(brentq(damping, 0.5, 2.0, xtol=1e-14))
 
 
 def finds_the_hopf_point(name, model):

@@ -191,7 +191,10 @@ class Well(VanDerPol):
 
 def test_a_rest_that_does_not_last_is_not_quiet_and_one_in_a_well_is():
     """At rtol 1e-6 a disturbance of 1e-12 is below every tolerance; it must not be damped away."""
-    field, watch = Well(jnp.asarray(1.0), None), Amplitude(window=10.0, stop="quiet")
+    field, watch = (
+        Well(strength=jnp.asarray(1.0), springs=None),
+        Amplitude(window=10.0, stop="quiet"),
+    )
     run = simulate(field, (jnp.array([1e-12]), jnp.zeros(1)), 100.0, observe=watch)
     assert run.outcome == "successful"
     assert float(run.t) == 100.0

@@ -1,5 +1,7 @@
 """Which masses vibrate, decided during a run."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,8 @@ def motion(numbers, t):
     return (a + b * jnp.sin(BEAT * t)) * jnp.exp(rate * t) * lives * jnp.cos(t - phase)
 
 
-def harmonic(a, b=0.0, rate=0.0, phase=0.0, on=-1e4, off=1e4):
+def harmonic(a: Any, b: Any = 0.0, rate: Any = 0.0, phase: Any = 0.0, on: Any = -1e4,
+             off: Any = 1e4):  # fmt: skip
     return jnp.stack([jnp.broadcast_to(jnp.asarray(part, float), (6,))
                       for part in (a, b, rate, phase, on, off)])  # fmt: skip
 
@@ -40,8 +43,8 @@ def decided(classify, numbers, t1, dt=0.25):
         def step(now):
             a, seen = now
             part = lambda theta, k: at(a + jnp.asarray(theta) * dt + jnp.zeros(6))[k]  # noqa: E731
-            ends = (at(t + jnp.zeros(6)) for t in (a, a + dt))
-            return a + dt, own.update(seen, Step(CHAIN, a, a + dt, *ends, part))
+            first, last = (at(t + jnp.zeros(6)) for t in (a, a + dt))
+            return a + dt, own.update(seen, Step(CHAIN, a, a + dt, first, last, part))
 
         start = jnp.asarray(0.0), own.init(CHAIN, jnp.asarray(0.0), t1, at(jnp.zeros(6)))
         going = lambda now: (now[0] < t1) & ~own.settled(now[1])  # noqa: E731

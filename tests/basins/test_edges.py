@@ -206,8 +206,10 @@ def test_the_edge_of_one_mass_is_the_unstable_cycle():
     for k, (speed, about) in enumerate(abouts.items()):
         edge, plane = lane(found, k), Plane.paper(speed)
         right = plane.cycle(0.9 * about, 1.1 * about)
-        left, period = float(right - 2 * edge.amplitude[0]), plane.back(right)[1]
-        assert abs(plane.half(left) - right) < 1e-6, speed
+        period = plane.back(right)[1]
+        assert float(edge.amplitude[0]) == pytest.approx(
+            (right - plane.left_of(right)) / 2, abs=1e-6
+        )
         assert float(edge.period) == pytest.approx(period, abs=1e-7)
         assert edge.vibrates[:, 0].tolist() == [False, True]
     edge = lane(found, 2)
@@ -296,7 +298,7 @@ def test_the_edge_between_two_wells_is_the_stable_manifold_of_their_saddle():
         assert (by_scipy(0.5, np.ravel(end))[0] > 0) == side
     both = edge_state(wells, RIGHT, ([0.6], [0.6]), time=7.0, **BETWEEN)
     assert name_of(both.result) == "same_state"
-    late = edge_state(wells, LEFT, RIGHT, time=7.0, **BETWEEN | {"patience": 1.0})
+    late = edge_state(wells, LEFT, RIGHT, time=7.0, **{**BETWEEN, "patience": 1.0})
     assert name_of(late.result) == "undecided"
 
 

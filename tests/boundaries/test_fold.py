@@ -1,3 +1,4 @@
+import functools
 from typing import cast
 
 import equinox as eqx
@@ -5,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 from wild_sets import steep_sets, wild_chain, wild_sets
 from witnesses.smoothed import OneMass
 
@@ -18,6 +20,7 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import Grazing
+from jaxchain.boundaries.fold import first_guess, value_and_jacobian
 from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
 
@@ -204,3 +207,57 @@ def test_no_claim_about_a_wild_set_is_contradicted_by_a_run(numbers, least):
     folds, _, _, wrong, missed = claims(numbers)
     assert wrong.size == missed.size == 0
     assert int(jnp.sum(folds.successful)) >= least
+
+
+@pytest.mark.long
+def test_the_fold_is_the_summit_of_scipys_branch():
+    """V(s) near the summit by SciPy's own shooting: no cycle near it has a greater speed."""
+    for width in (0.2, 0.05):
+        fold = find_fold(paper_chain(1, width=width))
+        mass = OneMass(width)
+
+        def speed(s, guess, mass=mass, width=width):
+            q = np.array(guess)
+            for _ in range(8):
+                v = q[0] + width * s
+                x = mass.force_and_slope(width * s)[0] - 2 * mass.xi * v
+
+                def gap(q, x=x, v=v):
+                    w = width * s
+                    v = q[0] + w
+                    x = mass.force_and_slope(w)[0] - 2 * mass.xi * v
+                    return (mass.after(x, v, q[1], q[0])[0] - [x, v]) / width
+
+                r = gap(q)
+                columns = [(gap(q + h) - r) / 1e-6 for h in 1e-6 * np.eye(2)]
+                step = np.linalg.solve(np.stack(columns, axis=1), r)
+                q = q - step
+                if np.max(np.abs(step)) < 1e-12:
+                    break
+            return -q[0]
+
+        guess = [float(fold.belt_speed), float(fold.period)]
+        s = float(fold.scaled_peak_velocity)
+        below = functools.partial(speed, guess=guess)
+        summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
+        np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("numbers", [wild_sets(0, 300)[233], *wild_sets(7, 400)[[214, 372]]])
+def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
+    """Sets whose V(s) is flat, with its maximum far from where the loose search ends."""
+    fold = jax.tree.map(lambda part: part[0], wild_folds(numbers[None])[0])
+    start = first_guess(wild_chain(numbers), 0)
+    shooting, index = start.shooting, start.shooting.z_index
+    slopes = jax.jit(functools.partial(value_and_jacobian, shooting, start.short))
+    closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[index].set(fold.belt_speed)
+    for way in (-1.0, 1.0):
+        q, r = closed, jnp.full(2, jnp.inf)
+        for k in range(1, 9):
+            s = fold.scaled_peak_velocity + way * 0.05 * k
+            for _ in range(4):
+                r, jacobian = slopes(jnp.append(q, jnp.arcsinh(s)))
+                q = q - jnp.linalg.solve(jacobian[:, :-1], r)
+            assert jnp.max(jnp.abs(r)) < 1e-9
+            assert q[index] < fold.belt_speed * (1.0 + 3e-9)

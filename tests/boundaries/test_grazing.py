@@ -8,6 +8,7 @@ import scipy.integrate
 import scipy.optimize
 
 from jaxchain import Chain, paper_chain
+from jaxchain.boundaries import Grazing
 from jaxchain.boundaries.fold import Fold, find_fold, fold_belt_speed
 from jaxchain.model import GaussianStribeck
 from jaxchain.result import SearchResult
@@ -48,6 +49,13 @@ def shoot(n, mass, law, matrix, damping, period, speed):
     gap, run = flow(root.x, dense=True)
     assert np.max(np.abs(gap)) < 1e-11
     return root.x[-1], root.x[-2], run
+
+
+def spring_matrix(stiffness, coupling):
+    n = len(stiffness)
+    unit = np.eye(n)
+    ring = 2 * unit - np.roll(unit, 1, axis=0) - np.roll(unit, -1, axis=0)
+    return np.diag(stiffness) + (coupling * ring if n > 1 else 0.0)
 
 
 def of(parameters):
@@ -209,3 +217,25 @@ def test_a_chain_in_which_another_mass_passes_is_refused():
     assert grazing.residual < 1e-9  # a closed orbit, though
     assert not grazing.successful
     assert jnp.isnan(grazing.belt_speed)
+
+
+@pytest.mark.long
+def test_the_cycle_of_twenty_masses_closes_in_scipy():
+    grazing = find_fold(paper_chain(width=None))
+    assert grazing.successful
+    assert abs(grazing.belt_speed - find_fold(paper_chain(n=1, width=None)).belt_speed) < 0.05
+    matrix, speed = spring_matrix(np.ones(20), 0.01), float(grazing.belt_speed)
+
+    def field(_, y):
+        mu = 0.5 + 0.5 * np.exp((y[20:] - speed) / 0.5)
+        return np.concatenate([y[20:], mu - 0.1 * y[20:] - matrix @ y[:20]])
+
+    start = np.concatenate(grazing.state)
+    times = np.linspace(0, float(grazing.period), 400)
+    run = scipy.integrate.solve_ivp(
+        field, times[[0, -1]], start, t_eval=times, method="DOP853", rtol=1e-13, atol=1e-13
+    )
+    np.testing.assert_allclose(run.y[:, -1], start, atol=1e-11)
+    assert start[20 + 10] == speed
+    assert abs(field(0, start)[20 + 10]) < 1e-12  # a touch
+    assert np.max(run.y[20:]) <= speed * (1 + 1e-9)

@@ -1,5 +1,7 @@
 """The Hopf boundary against closed forms, eigenvalues by NumPy, and finite differences."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -51,7 +53,7 @@ def abscissa(chain, belt_speed):
         stretch = np.eye(n)[i] - np.eye(n)[(i + 1) % n]
         K = K + c * np.outer(stretch, stretch)
     J = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -np.diag(D)]])
-    return np.linalg.eigvals(J).real.max()
+    return np.real(np.linalg.eigvals(J)).max()
 
 
 def test_the_papers_chain_has_half_the_logarithm_of_ten():
@@ -69,7 +71,7 @@ def test_wide_smoothing_moves_it_to_where_scipy_finds_it():
         mu = 0.5 + 0.5 * np.exp(-2 * v)
         return 0.1 - np.exp(-2 * v) * direction + mu * (1 - direction**2) / width
 
-    def exact(width):
+    def exact(width) -> Any:
         return brentq(damping, 0.8, 1.5, (width,), xtol=1e-15)
 
     found = jax.jit(jax.value_and_grad(lambda w: hopf_belt_speed(paper_chain(1, width=w))))
@@ -139,7 +141,7 @@ def test_a_mistuned_chain_loses_stability_where_numpy_says():
     assert all(abscissa(chain, v) < 0 for v in float(found) + np.geomspace(1e-6, 10.0, 50))
     step = 1e-5
 
-    def by_numpy(k, change):
+    def by_numpy(k, change) -> Any:
         there = rebuild(numbers.at[k].add(change))
         return brentq(lambda v: abscissa(there, v), 0.8, 2.0, xtol=1e-15)
 

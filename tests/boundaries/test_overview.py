@@ -20,7 +20,7 @@ DRY_FOLD = 1.836600972208
 @pytest.mark.long
 @pytest.mark.slow
 def test_the_boundaries_of_the_paper():
-    found = stability_range(paper_chain(1, width=1e-2), error_bars=True)
+    found: Any = stability_range(paper_chain(1, width=1e-2), error_bars=True)
     np.testing.assert_allclose(found.hopf, np.log(10.0) / 2, rtol=1e-13)
     np.testing.assert_allclose(found.hopf_dry, np.log(10.0) / 2, rtol=1e-13)
     np.testing.assert_allclose(found.fold, 1.792455775, rtol=1e-9)

@@ -22,7 +22,7 @@ def of(parameters):
 def random_sets(seed, count):
     ranges = np.log([(0.02, 0.15), (0.6, 1.4), (0.3, 0.8), (0.2, 1.0)])
     rng = np.random.default_rng(seed)
-    xi, static, share, v_ref = np.exp([rng.uniform(*ends, count) for ends in ranges])
+    xi, static, share, v_ref = np.exp([rng.uniform(low, high, count) for low, high in ranges])
     return np.stack([xi, static, share * static, v_ref], axis=1)
 
 

@@ -72,7 +72,9 @@ def test_a_step_across_edges_ends_at_the_nearest_point_that_scipy_finds():
     rows, start, step, root = (rng.standard_normal(s) for s in ((7, 3), (3,), (3,), (3, 3)))
     first, metric = rng.uniform(0.0, 1.0, 7), root @ root.T + 0.1 * np.eye(3)
     given = jnp.asarray(start), jnp.asarray(3 * step), jnp.asarray(metric)
-    inside = jax.jit(lambda *given: stay_inside(lambda x: rows @ (x - start) + first, *given))
+    inside = jax.jit(
+        lambda *given: stay_inside(lambda x: jnp.asarray(rows) @ (x - start) + first, *given)
+    )
     found, bent = inside(*given)
     other = minimize(
         lambda d: 0.5 * (d - 3 * step) @ metric @ (d - 3 * step),

@@ -13,6 +13,7 @@ from jaxchain import (
     Chain,
     ExponentialDecay,
     TanhFriction,
+    WeakeningStrengthening,
     active,
     excited_state,
     paper_chain,
@@ -305,3 +306,46 @@ def test_oscillators_of_ones_own_need_a_guess():
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
     with pytest.raises(ValueError, match="give a state as `guess`"):
         find_limit_cycle(field)
+
+
+LAWS = {
+    "exponential": (ExponentialDecay, (1.0, 0.5, 1.0)),
+    "strengthening": (WeakeningStrengthening, (1.0, 0.5, 1.0, 0.01)),
+    "gaussian": (GaussianStribeck, (1.0, 0.5, 1.0, 0.02)),
+}
+
+
+def coefficient(kind, numbers, speed):
+    high, low, v0, *grows = numbers
+    s = speed / v0
+    bump = np.exp(-(s**2) if kind == "gaussian" else -s)
+    return low + (high - low) * bump + sum(grows) * s
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("branch", ["stable", "unstable"])
+@pytest.mark.parametrize("kind", LAWS)
+def test_what_is_found_closes_in_an_independent_integration(kind, branch):
+    """At belt speeds below the fold and, of the Gaussian law, in a set far above it."""
+    make, numbers = LAWS[kind]
+    found = 0
+    for width, damping, belt in [(0.05, 0.05, 1.75), (0.02, 0.05, -1.8), (0.1, 0.12, -0.9)]:
+        chain = Chain(1, TanhFriction(make(*numbers), width), belt, damping)
+        cycle = find_limit_cycle(chain, branch=branch, max_steps=60, throw=False)
+        if not cycle.successful:
+            continue
+        found += 1
+
+        def field(t, y, width=width, damping=damping, belt=belt):
+            w = y[1] - belt
+            mu = coefficient(kind, numbers, abs(w))
+            return [y[1], -mu * np.tanh(w / width) - 2 * damping * y[1] - y[0]]
+
+        start = [float(part[0]) for part in cycle.state]
+        run = solve_ivp(field, (0, float(cycle.period)), start, method="DOP853", rtol=1e-11,
+                        atol=1e-13)  # fmt: skip
+        assert np.max(np.abs(run.y[:, -1] - start)) < 1e-7 * abs(belt)
+        assert np.ptp(run.y[0]) > 1e-2
+        grows = abs(complex(cycle.multipliers[0])) > 1
+        assert grows is (branch == "unstable")
+    assert found > 1

@@ -118,7 +118,8 @@ class Closed(measurements.Waveform):
         self.sound, self.slip, self.parts = jnp.asarray(True), jnp.ones(()), ()
 
     def __call__(self, shares: Any) -> Any:
-        law, angle = self.chain.law, 2 * jnp.pi * shares
+        law: Any = self.chain.law
+        angle = 2 * jnp.pi * shares
         return 0.8 + law.v_ref * jnp.cos(angle) + law.mu_dynamic**2 * jnp.sin(2 * angle)
 
 

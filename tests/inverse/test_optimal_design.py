@@ -1,4 +1,5 @@
 """Least-cost designs: SciPy in closed form, and event-driven runs that confirm them."""
+# pyright: reportArgumentType=false, reportOptionalMemberAccess=false
 
 import jax.numpy as jnp
 import numpy as np

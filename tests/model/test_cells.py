@@ -240,7 +240,7 @@ def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
     for name, value in zip(("amplitude", "amplitude_w"), run.observed, strict=True):
         np.testing.assert_allclose(found[name], value, atol=1e-6)
         assert data[name].attrs["units"] == "1"
-    assert data.shift.attrs["long_name"] == "shift"
+    assert data["shift"].attrs["long_name"] == "shift"
     again = sweep(cells, start, 30.0, over=grid, observe=observe, store=kept)
     assert again.identical(data)
     with pytest.raises(ValueError, match="belongs to another sweep"):

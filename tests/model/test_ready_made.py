@@ -176,8 +176,8 @@ def test_two_modes_meet_at_the_friction_of_the_closed_form():
     assert np.max(np.abs(squares - squares[0])) ** 2 < 1e-9
     below = modes(ModeCoupling(*numbers, friction=critical - 1e-6))
     above = modes(ModeCoupling(*numbers, friction=critical + 1e-6))
-    assert np.max(np.abs(below.real)) < 1e-9
-    assert np.max(above.real) > 1e-4
+    assert np.max(np.abs(np.real(below))) < 1e-9
+    assert np.max(np.real(above)) > 1e-4
 
 
 # Blocks.

@@ -36,7 +36,13 @@ def test_the_paper_s_equation_4_holds():
 
 
 def test_every_quantity_is_counted_in_its_unit():
-    units = {"displacement": 0.05, "velocity": 0.5, "time": 0.1, "force": 10.0, "frequency": 10.0}
+    units: dict[Any, float] = {
+        "displacement": 0.05,
+        "velocity": 0.5,
+        "time": 0.1,
+        "force": 10.0,
+        "frequency": 10.0,
+    }
     assert set(QUANTITIES) == set(units)
     scales = round_scales()
     for quantity, unit in units.items():

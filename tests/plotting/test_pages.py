@@ -1,6 +1,7 @@
 """Figures of scenes and what they mark: the Hopf speed, moving fronts, cycles, failed runs."""
 
 import json
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -37,12 +38,12 @@ def test_every_run_is_one_point_at_its_place():
     right, bar = figure({"ladder": data}).axes
     assert bar.get_ylabel() == "vibrating oscillators"
     unnamed = [line for line in right.get_lines() if str(line.get_label()).startswith("_")]
+    assert len(unnamed) == 6
     for count, points in enumerate(unnamed, 1):
         assert points.get_color() == shades(6)(count - 1)
         speeds = data.belt_speed.broadcast_like(data.energy).values[data.active_count == count]
         assert sorted(where(points)) == sorted(speeds)
         np.testing.assert_allclose(height(points), 0.5 * 1.5**2 * count)
-    assert count == 6
 
 
 def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
@@ -150,7 +151,8 @@ def test_fronts_move_where_the_active_count_changes():
         (pytest.approx(1.65), pytest.approx(1.75)),
     ]
     axes = named_panels(figure({"ladder": data}))[0]
-    bands = [(band.get_x(), band.get_x() + band.get_width()) for band in axes.patches]
+    patches: Any = axes.patches
+    bands = [(band.get_x(), band.get_x() + band.get_width()) for band in patches]
     np.testing.assert_allclose(bands, [(1.0, 1.25), (1.65, 1.75)])
     assert legend(axes).count("moving fronts") == 1
 

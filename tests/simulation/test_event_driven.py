@@ -89,7 +89,7 @@ def test_six_masses_follow_the_witness_to_the_tolerance():
         against_witness(paper_chain(6, belt_speed), start, 20.0)
     chain = paper_chain(6, 1.3)
     start = equation_8(chain, 3)
-    exact = integrate(numbers_of(chain), *(np.asarray(part) for part in start), 30.0)
+    exact = integrate(numbers_of(chain), np.asarray(start[0]), np.asarray(start[1]), 30.0)
     for rtol in (1e-5, 1e-8, 1e-11):
         state = run(chain, start, 30.0, rtol).state
         np.testing.assert_allclose(state, (exact.x, exact.v), rtol=0, atol=100 * rtol)
@@ -124,7 +124,7 @@ def coulomb(x, belt_speed, mu, t1):
     chain = Chain(1, TanhFriction(Coulomb(mu), 1e-3), belt_speed=belt_speed, damping_ratio=0.0)
     start = jnp.array([x]), jnp.array([0.0])
     ended = run(chain, start, t1, observe=StickTime(3.0))
-    witness = integrate(numbers_of(chain), *(np.asarray(part) for part in start), t1)
+    witness = integrate(numbers_of(chain), np.asarray(start[0]), np.asarray(start[1]), t1)
     np.testing.assert_allclose(ended.state, (witness.x, witness.v), atol=1e-10, rtol=0)
     return float(ended.state[0][0]), float(ended.state[1][0]), float(ended.observed[0])
 

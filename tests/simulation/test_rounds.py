@@ -37,7 +37,7 @@ def test_lanes_that_end_early_stay_as_they_are():
     last = jnp.array([5.0, 2.0 * ROUND, 0.0, ROUND + 3.0])
     now, seen = jax.jit(jax.vmap(total))(jnp.zeros((4, 1)), last)
     np.testing.assert_array_equal(now[:, 0], last)
-    np.testing.assert_array_equal(seen[:, 0], [np.sum(np.arange(a) ** 2) for a in last])
+    np.testing.assert_array_equal(seen[:, 0], [np.sum(np.arange(int(a)) ** 2) for a in last])
 
 
 def test_derivatives_pass_through_the_notes():
