@@ -48,7 +48,6 @@ from .result import Result as Result
 from .result import SearchResult as SearchResult
 from .simulation.event_driven import EventDriven as EventDriven
 from .simulation.method import Method as Method
-from .simulation.run import Simulation as Simulation
 from .simulation.run import simulate as simulate
 from .solvers.rosenbrock import Rodas4 as Rodas4
 from .solvers.rosenbrock import Rodas5P as Rodas5P

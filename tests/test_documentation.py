@@ -39,9 +39,18 @@ READ = {
 }
 
 
+# All that the paper says, found again, takes minutes.
+LONG = ("explanation/paper.md",)
+CODE = [
+    pytest.param(name, marks=[pytest.mark.long] * (name in LONG))
+    for name, text in TEXTS.items()
+    if fenced(text)
+]
+
+
 @pytest.mark.examples
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("name", [name for name, text in TEXTS.items() if fenced(text)])
+@pytest.mark.parametrize("name", CODE)
 def test_the_code_of_a_page_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     namespace = {"__name__": "__main__"}

@@ -42,6 +42,8 @@ from jaxchain import (
 )  # fmt: skip
 from jaxchain.basins import AbstractClassifier, AbstractRegion, basin_shares
 from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
+from jaxchain.cycles.floquet import liouville_determinant
+from jaxchain.cycles.limit_cycle import guess_from_simulation
 from jaxchain.model import (
     AbstractCells,
     AbstractFrictionLaw,
@@ -49,6 +51,8 @@ from jaxchain.model import (
     AbstractOscillators,
     MechanicalCells,
 )  # fmt: skip
+from jaxchain.model.initial_states import release_state
+from jaxchain.model.sliding import sliding_damping, sliding_eigenvalues, stiffness_matrix
 from jaxchain.observers import AbstractObserver, Divergence, Variable
 from jaxchain.plotting.motions import loop, sticking
 from jaxchain.simulation.method import fit_linear_solve
@@ -355,11 +359,11 @@ CHEAP = {
     "equation_8": (THREE, lambda chain: jc.equation_8(chain, 2), 1e-12),
     "equation_10": (jc.paper_chain(width=None), lambda c: jc.equation_10(c, 2), 1e-12),
     "on_the_belt": (THREE, jc.model.on_the_belt, 1e-12),
-    "release_state": (THREE, lambda chain: jc.model.release_state(chain, 2), 1e-12),
-    "stiffness_matrix": (THREE, jc.model.stiffness_matrix, 0.0),
-    "sliding_damping": (THREE, lambda c: jc.model.sliding_damping(c, c.belt_speed), 1e-12),
+    "release_state": (THREE, lambda chain: release_state(chain, 2), 1e-12),
+    "stiffness_matrix": (THREE, stiffness_matrix, 0.0),
+    "sliding_damping": (THREE, lambda c: sliding_damping(c, c.belt_speed), 1e-12),
     "sliding_eigenvalues": (
-        THREE, lambda c: jnp.sort(jc.model.sliding_eigenvalues(c, c.belt_speed)), 1e-10,
+        THREE, lambda c: jnp.sort(sliding_eigenvalues(c, c.belt_speed)), 1e-10,
     ),
     "growth_rate": (THREE, lambda c: jc.model.growth_rate(c, c.belt_speed), 1e-12),
     "mistuned_chain": (THREE, lambda c: jc.localization.mistuned_chain(c, 3, 0.1).stiffness, 0.0),
@@ -409,7 +413,7 @@ LONG = {
         1e-8,
     ),
     "guess_from_simulation": (
-        ONE, lambda c: jc.cycles.guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
+        ONE, lambda c: guess_from_simulation(c, c_start(c), 0, transient=60.0)[1], 1e-3,
     ),
     "find_limit_cycle near Hopf": (ONE, near_hopf, 1e-8),
     "edge_state": (ONE, edge, 1e-6),
@@ -460,7 +464,7 @@ ELSEWHERE = {
 
 
 def c_start(chain):
-    return jc.model.release_state(chain, 0)
+    return release_state(chain, 0)
 
 
 def film(chain):
@@ -483,7 +487,7 @@ REFUSED = {
         lambda c: jc.sweep(c, c_start(c), 1.0, over={"width": [0.1]}), "to sweep `width`"
     ),
     "liouville_determinant": (
-        lambda c: jc.cycles.liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
+        lambda c: liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
     ),
     "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
     "find_special_cycle": (

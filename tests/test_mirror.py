@@ -14,7 +14,11 @@ import pytest
 from systems.orbits import closed_orbit
 
 import jaxchain as jc
+from jaxchain.cycles.floquet import liouville_determinant
+from jaxchain.cycles.limit_cycle import guess_from_simulation
 from jaxchain.localization.patterns import phase_model
+from jaxchain.model.initial_states import release_state
+from jaxchain.model.sliding import sliding_damping, sliding_eigenvalues, stiffness_matrix
 
 COUNT, N = 20, 3
 DRY = jc.EventDriven()
@@ -88,7 +92,7 @@ def spectrum(solver):
 
 
 def cycle(chain, sign):
-    state, period = jc.cycles.guess_from_simulation(chain, start(chain, sign), 0, transient=100.0)
+    state, period = guess_from_simulation(chain, start(chain, sign), 0, transient=100.0)
     found = jc.find_limit_cycle(chain, (state, period), mass=0)
     names = ("period", "amplitude", "fastest", "scaled_peak_velocity", "multipliers")
     parts = [getattr(found, name) for name in names]
@@ -103,7 +107,7 @@ def dry_orbit(chain, sign):
 
 def linear(chain, sign):
     state = excited(chain, sign)
-    determinant = jc.cycles.liouville_determinant(chain, state, 6.0)
+    determinant = liouville_determinant(chain, state, 6.0)
     return jc.monodromy_matrix(chain, state, 6.0), determinant
 
 
@@ -124,11 +128,11 @@ QUICK = {
     "steady_sliding": lambda chain, sign: turned(sign, jc.steady_sliding(chain)),
     "excited_state": lambda chain, sign: turned(sign, excited(chain, sign)),
     "on_the_belt": lambda chain, sign: turned(sign, jc.model.on_the_belt(chain)),
-    "release_state": lambda chain, sign: turned(sign, jc.model.release_state(chain, 2)),
-    "stiffness_matrix": lambda chain, sign: jc.model.stiffness_matrix(chain),
-    "sliding_damping": lambda chain, sign: jc.model.sliding_damping(chain, chain.belt_speed),
+    "release_state": lambda chain, sign: turned(sign, release_state(chain, 2)),
+    "stiffness_matrix": lambda chain, sign: stiffness_matrix(chain),
+    "sliding_damping": lambda chain, sign: sliding_damping(chain, chain.belt_speed),
     "sliding_eigenvalues": lambda chain, sign: jnp.sort(
-        jc.model.sliding_eigenvalues(chain, chain.belt_speed).real
+        sliding_eigenvalues(chain, chain.belt_speed).real
     ),
     "growth_rate": lambda chain, sign: jc.model.growth_rate(chain, chain.belt_speed),
     "hopf_belt_speed": lambda chain, sign: jc.hopf_belt_speed(chain),

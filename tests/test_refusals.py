@@ -17,12 +17,12 @@ RESULTS = (
     "HopfPoint Fold Grazing HopfPoints CurvePoint SpecialCurve SpecialCycle Extrapolation "
     "Evidence Verdict LyapunovSpectrum Branch SpecialPoint FoldPoint CycleBranch LimitCycle "
     "CyclePoint CycleSearch CycleSymmetry Identification Profile Design Depinning FrontSpeed "
-    "LinearModes LockedPattern PhaseModel LocalSlopes Step ComplexModes StoreError SlidingBasin "
+    "LinearModes LockedPattern PhaseModel Step ComplexModes StoreError SlidingBasin "
     "EdgeState Blow SweepInterrupted Settled"
 )
-# Classes without an argument; records, which hold whatever they are given; what calls `figure`;
+# Classes without an argument; records, which hold whatever they are given;
 # and fields that are checked where a run begins. Base classes are in tests/test_every_model.py.
-OTHERS = "Divergence EnergyBalance MostSticking Variable DimensionalParameters figure_3 Method"
+OTHERS = "Divergence EnergyBalance MostSticking Variable DimensionalParameters Method"
 SUBMODULES = ("model", "runs", "searches", "states", "pictures")
 
 

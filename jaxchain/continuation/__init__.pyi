@@ -6,6 +6,3 @@ from .branch import SpecialPoint as SpecialPoint
 from .damped_newton import newton as newton
 from .fold_points import FoldPoint as FoldPoint
 from .fold_points import fold_point as fold_point
-from .fold_points import fold_residual as fold_residual
-from .gradient_descent import descend as descend
-from .implicit import attach_derivative as attach_derivative

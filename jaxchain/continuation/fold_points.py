@@ -104,7 +104,7 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
     residual are equal, so nothing is compiled twice.
 
     >>> import jax.numpy as jnp
-    >>> from jaxchain.continuation import fold_residual
+    >>> from jaxchain.continuation.fold_points import fold_residual
     >>> R = fold_residual(lambda u, p, args: p + u**2)
     >>> z, borders = jnp.zeros(2), (jnp.ones(1), jnp.ones(1))
     >>> R(z, (None, borders)).tolist()

@@ -155,7 +155,7 @@ def descend(
 
     >>> import jax, optax
     >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain.continuation import descend
+    >>> from jaxchain.continuation.gradient_descent import descend
     >>> found = descend(lambda x: (x - 3.0) ** 2, 0.0, optax.sgd(0.25), tolerance=1e-20)
     >>> round(float(found.solution), 8), int(found.steps), bool(found.successful)
     (3.0, 35, True)

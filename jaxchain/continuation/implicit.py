@@ -40,7 +40,7 @@ def attach_derivative(
     fixed.  NaN in R_u (no solution) gives NaN.
 
     >>> import jax, jax.numpy as jnp
-    >>> from jaxchain.continuation import attach_derivative
+    >>> from jaxchain.continuation.implicit import attach_derivative
     >>> root = lambda a: attach_derivative(lambda u, a: u**2 - a, jnp.full(1, 2.0), a)[0]
     >>> float(jax.grad(root)(4.0))
     0.25

@@ -7,9 +7,7 @@ from .deflation import find_limit_cycles as find_limit_cycles
 from .floquet import LimitCycle as LimitCycle
 from .floquet import floquet_multipliers as floquet_multipliers
 from .floquet import liouville_defect as liouville_defect
-from .floquet import liouville_determinant as liouville_determinant
 from .floquet import monodromy_matrix as monodromy_matrix
 from .limit_cycle import find_limit_cycle as find_limit_cycle
-from .limit_cycle import guess_from_simulation as guess_from_simulation
 from .symmetry import CycleSymmetry as CycleSymmetry
 from .symmetry import cycle_symmetry as cycle_symmetry

@@ -111,7 +111,7 @@ def liouville_determinant(
         >>> import jax, jax.numpy as jnp
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import monodromy_matrix, paper_chain
-        >>> from jaxchain.cycles import liouville_determinant
+        >>> from jaxchain.cycles.floquet import liouville_determinant
         >>> chain = paper_chain(1, belt_speed=9.0)  # sliding: a damped oscillator, nearly
         >>> start = jnp.full(1, 0.5), jnp.zeros(1)
         >>> det = jnp.linalg.det(monodromy_matrix(chain, start, 1.0))

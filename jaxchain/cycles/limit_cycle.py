@@ -149,7 +149,7 @@ def guess_from_simulation(
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import excited_state, paper_chain
-    >>> from jaxchain.cycles import guess_from_simulation
+    >>> from jaxchain.cycles.limit_cycle import guess_from_simulation
     >>> chain = paper_chain(1, width=0.05)
     >>> _, period = guess_from_simulation(chain, excited_state(chain, 1))
     >>> round(float(period), 2)

@@ -12,11 +12,9 @@ from .initial_states import equation_8 as equation_8
 from .initial_states import equation_10 as equation_10
 from .initial_states import excited_state as excited_state
 from .initial_states import on_the_belt as on_the_belt
-from .initial_states import release_state as release_state
 from .mechanical import MechanicalCells as MechanicalCells
 from .model import AbstractModel as AbstractModel
 from .oscillators import AbstractOscillators as AbstractOscillators
-from .oscillators import LocalSlopes as LocalSlopes
 from .ready_made import BurridgeKnopoff as BurridgeKnopoff
 from .ready_made import Duffing as Duffing
 from .ready_made import LuGre as LuGre
@@ -25,9 +23,6 @@ from .ready_made import Pendulums as Pendulums
 from .ready_made import RateAndState as RateAndState
 from .ready_made import VanDerPol as VanDerPol
 from .sliding import growth_rate as growth_rate
-from .sliding import sliding_damping as sliding_damping
-from .sliding import sliding_eigenvalues as sliding_eigenvalues
-from .sliding import stiffness_matrix as stiffness_matrix
 from .springs import Springs as Springs
 from .tabulated import TabulatedFriction as TabulatedFriction
 from .units import DimensionalParameters as DimensionalParameters

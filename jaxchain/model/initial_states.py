@@ -241,7 +241,7 @@ def release_state(chain: Chain, mass: int) -> State:
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import StickTime, paper_chain, simulate
-        >>> from jaxchain.model import release_state
+        >>> from jaxchain.model.initial_states import release_state
         >>> chain = paper_chain(3, belt_speed=1.5, width=None)
         >>> start = release_state(chain, 1)
         >>> run = simulate(chain, start, 1.0, observe=StickTime())

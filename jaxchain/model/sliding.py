@@ -60,7 +60,7 @@ def sliding_damping(chain: Chain, belt_speed: Float[Array, ""]) -> PerMass:
     >>> import jax, jax.numpy as jnp
     >>> jax.config.update("jax_enable_x64", True)
     >>> from jaxchain import paper_chain
-    >>> from jaxchain.model import sliding_damping
+    >>> from jaxchain.model.sliding import sliding_damping
     >>> round(float(sliding_damping(paper_chain(), jnp.asarray(0.5))), 6)  # 0.1 - 1/e
     -0.267879
     """
@@ -138,7 +138,7 @@ def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import paper_chain
-        >>> from jaxchain.model import stiffness_matrix
+        >>> from jaxchain.model.sliding import stiffness_matrix
         >>> print(stiffness_matrix(paper_chain(4)))
         [[ 1.02 -0.01  0.   -0.01]
          [-0.01  1.02 -0.01  0.  ]
@@ -167,7 +167,7 @@ def sliding_eigenvalues(chain: Chain, belt_speed: Float[Array, ""]) -> Array:
         >>> import jax, jax.numpy as jnp
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import paper_chain
-        >>> from jaxchain.model import sliding_eigenvalues
+        >>> from jaxchain.model.sliding import sliding_eigenvalues
         >>> chain = paper_chain(3, width=1e-2)
         >>> speeds = jnp.array([1.1, 1.2])  # on either side of the Hopf speed, 1.1513
         >>> [bool(sliding_eigenvalues(chain, v).real.max() > 0) for v in speeds]

@@ -5,14 +5,12 @@ from .base import Variable as Variable
 from .energy_balance import Divergence as Divergence
 from .energy_balance import EnergyBalance as EnergyBalance
 from .fronts import FrontTrack as FrontTrack
-from .fronts import front_positions as front_positions
 from .quantities import active as active
 from .quantities import delays as delays
 from .quantities import energy as energy
 from .quantities import mean_period as mean_period
 from .quantities import participation_ratio as participation_ratio
 from .quantities import settled as settled
-from .quantities import slides_steadily as slides_steadily
 from .samples import Samples as Samples
 from .samples import Trajectory as Trajectory
 from .section import PeakTimes as PeakTimes

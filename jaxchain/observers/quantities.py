@@ -171,7 +171,7 @@ def slides_steadily(amplitude: Float[Array, "*batch n"]) -> Bool[Array, "*batch"
     **Returns:** booleans of shape (...).
 
     >>> import jax.numpy as jnp
-    >>> from jaxchain.observers import slides_steadily
+    >>> from jaxchain.observers.quantities import slides_steadily
     >>> slides_steadily(jnp.array([[1e-5, 0.0], [0.3, 0.0]])).tolist()
     [True, False]
     """

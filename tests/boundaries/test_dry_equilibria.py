@@ -23,7 +23,8 @@ from jaxchain.boundaries import (
     find_hopf_point,
     hopf_points,
 )
-from jaxchain.model import MechanicalCells, stiffness_matrix
+from jaxchain.model import MechanicalCells
+from jaxchain.model.sliding import stiffness_matrix
 
 brentq: Any = optimize.brentq
 # p mu(s) = p (.5 + .5 exp(-2 s)) and its slope.

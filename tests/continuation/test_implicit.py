@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxchain.continuation import attach_derivative
+from jaxchain.continuation.implicit import attach_derivative
 
 NUMBERS = {"a": jnp.asarray(2.0), "b": jnp.asarray([3.0, 0.5]), "n": 4}
 

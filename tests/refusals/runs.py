@@ -93,7 +93,7 @@ def _observers() -> Iterator[Row]:
 
 def _quantities() -> Iterator[Row]:
     state = Told((jnp.ones(3), jnp.zeros(3)), r"state \(x, v\) has no amplitude")
-    for name in ("energy", "slides_steadily", "participation_ratio"):
+    for name in ("energy", "participation_ratio"):
         yield row(name, {}, amplitude=(*ARRAY, state))
     speeds = (None, "x", {}, object, [], Told([1.0, 2.0], r"\(2,\)"))
     good = {"amplitude": jnp.ones(3), "belt_speed": 1.0}
@@ -106,10 +106,6 @@ def _quantities() -> Iterator[Row]:
         "delays", {"peak_times": jnp.ones((3, 2)), "reference": 0, "period": 6.0},
         peak_times=(*ARRAY, jnp.ones(3)), reference=(*COUNT_0, 2), centre=NUMBER,
         period=(None, "x", {}, [1.0, 2.0], math.inf, -1.0, 0.0),
-    )  # fmt: skip
-    yield row(
-        "front_positions", {"amplitude": jnp.ones(12), "threshold": 0.5}, amplitude=ARRAY,
-        threshold=(None, "x", [], 1j), middle=("x", 1.5, 12, -1),
     )  # fmt: skip
 
 

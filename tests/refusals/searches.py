@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
-import optax
 from synthetic import cycle_branch
 
 from jaxchain.boundaries import HopfPoint
@@ -53,15 +52,6 @@ def _continuation() -> Iterator[Row]:
         ),
     )  # fmt: skip
     yield row("fold_point", {"residual": branch, "u": jnp.ones(1), "p": 1.0}, u=VECTOR, p=NUMBER)
-    yield row("fold_residual", {})
-    good = {"loss": lambda x: x**2, "start": 1.0, "optimiser": optax.sgd(0.1)}
-    optimisers = (None, "x", 3, optax.adam)
-    tolerance = t.NONNEGATIVE
-    yield row(
-        "descend", good, loss=t.FUNCTION, start=t.TREE, optimiser=optimisers, tolerance=tolerance
-    )
-    good = {"residual": root, "solution": jnp.ones(1), "parameters": 1.0}
-    yield row("attach_derivative", good, solution=(None, "x", {}, 1.0, [[1.0]], []))
     good = {"before": lambda x: x < 1, "low": jnp.zeros(()), "high": 1.0, "halvings": 3}
     yield row("bisect", good, before=t.FUNCTION, low=END, high=END, halvings=t.COUNT_0)
     yield row(
@@ -100,7 +90,6 @@ def _cycles() -> Iterator[Row]:
     yield row("cycle_symmetry", orbit, **own)
     yield row("switch_cycle", {"branch": None, "point": None}, branch=(None, "x", 3), step=(),
               bounds=())  # fmt: skip
-    yield row("liouville_determinant", orbit, **own, model=(*A_CHAIN, NO_DRY))
     yield row("monodromy_matrix", orbit, **own)
     matrix = (None, "x", {}, 3.0, jnp.ones(2), jnp.ones((2, 3)))
     flow = Told([1.0, 2.0, 3.0], r"\(3,\)"), Told((1.0,), r"\(1,\)"), jnp.zeros(2)
@@ -108,10 +97,6 @@ def _cycles() -> Iterator[Row]:
     yield row("floquet_multipliers", good, monodromy=matrix, flow_direction=("x", {}, 3.0, *flow))
     good = {"monodromy": jnp.eye(2), "trace": 0.0}
     yield row("liouville_defect", good, monodromy=matrix, trace=(None, "x", {}, [1.0, 2.0], 1j))
-    yield row(
-        "guess_from_simulation", {"model": CHAIN, "state": STATE}, state=states(3),
-        transient=t.NONNEGATIVE, duration=POSITIVE,
-    )  # fmt: skip
 
 
 def _equilibria() -> Iterator[Row]:
