@@ -7,6 +7,7 @@ import os
 import platform
 import tempfile
 import warnings
+from operator import attrgetter
 from pathlib import Path
 
 # Up to this size of a loop's state, in bytes, XLA's CPU compiler makes one function of the loop.
@@ -159,11 +160,15 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
+# By its name: not every version of JAX declares it.
+_number_of_devices = attrgetter("jax_num_cpu_devices")
+
+
 def has_computed() -> bool:
     """Whether JAX has started its devices: after that their number is fixed."""
     import jax
 
-    now = jax.config.values["jax_num_cpu_devices"]
+    now = _number_of_devices(jax.config)
     try:
         jax.config.update("jax_num_cpu_devices", 1 if now != 1 else 2)
     except RuntimeError:
@@ -198,7 +203,7 @@ def _set_devices(devices: int | None) -> bool:
     """Sets the number of devices, unless the user set it; whether it takes effect."""
     import jax
 
-    now = jax.config.values["jax_num_cpu_devices"]
+    now = _number_of_devices(jax.config)
     variables = os.environ.get("XLA_FLAGS", "") + "".join(os.environ)
     if devices is None:
         if now > 0 or any(name in variables for name in _DEVICES):

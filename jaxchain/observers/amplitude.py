@@ -134,7 +134,8 @@ class Amplitude(AbstractObserver):
             if not always:
                 # The step in which the window begins counts from that time.
                 opens = watching & (step.t0 <= acc.last_window)
-                length = jnp.maximum(step.t1 - step.t0, 1e-300)
+                # Without 1 a lane that has ended, whose steps have no length, has NaN as gradient.
+                length = jnp.where(opens, step.t1 - step.t0, 1.0)
                 start = jnp.where(opens, (acc.last_window - step.t0) / length, 0.0)
                 first = step.displacement(start)
                 low, high = jnp.where(opens, first, low), jnp.where(opens, first, high)

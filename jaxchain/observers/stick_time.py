@@ -67,9 +67,9 @@ class StickTime(AbstractObserver):
 
         def time() -> Array:
             begin, end = sticking(step)
-            clipped = jnp.clip(
-                (start - step.t0) / jnp.maximum(step.t1 - step.t0, 1e-300), 0.0, 1.0
-            )
+            # Without 1 a lane that has ended, whose steps have no length, has NaN as gradient.
+            length = jnp.where(step.t1 > step.t0, step.t1 - step.t0, 1.0)
+            clipped = jnp.clip((start - step.t0) / length, 0.0, 1.0)
             return jnp.maximum(end - jnp.maximum(begin, clipped), 0.0) * (step.t1 - step.t0)
 
         gained = lax.cond(unvmap_any(watching), time, lambda: jnp.zeros_like(total))

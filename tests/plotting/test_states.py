@@ -148,7 +148,7 @@ def test_the_time_series_draw_sticking_apart():
 @pytest.mark.parametrize("number", range(4, 11))
 def test_the_scenes_are_the_figures_of_the_paper(number):
     table: Any = load_scene(f"fig{number}").scene.experiment["states"]
-    assert table.given("belt_speed") == {9: 1.65, 10: 1.75}.get(number, 1.5)
+    assert table.chain.belt_speed == {9: 1.65, 10: 1.75}.get(number, 1.5)
     assert table.initial.kind == ("equation_10" if number == 10 else "equation_8")
     some = [1, 2, 5, 8, 9, 12, 13, 19, 20]
     counts = {5: [2], 6: some, 7: some}.get(number, [*range(1, 21)])

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxchain import Amplitude, Rodas4, equation_8, paper_chain, simulate
+from jaxchain import Amplitude, Rodas4, StickTime, equation_8, paper_chain, simulate
 from jaxchain.result import Result
 from jaxchain.simulation import Method
 
@@ -75,10 +75,11 @@ def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
         chain = paper_chain(1, belt_speed, width=0.05)
         start = jnp.array([-1.5]), jnp.zeros(1)
         run = simulate(
-            chain, start, t1, t0=t0, observe=Amplitude(3.0), solver=Rodas4(), rtol=1e-10,
-            adjoint=few,
+            chain, start, t1, t0=t0, observe=(Amplitude(3.0), StickTime(3.0)),
+            solver=Rodas4(), rtol=1e-10, adjoint=few,
         )  # fmt: skip
-        return run.state[0][0] + run.observed[0], run.steps
+        amplitude, stuck = run.observed
+        return run.state[0][0] + amplitude[0] + stuck[0], run.steps
 
     both = jax.jit(jax.vmap(jax.value_and_grad(end, has_aux=True)))
     lanes = jnp.array([[1.0, 1.0, 7.0], [1.6, 1.0, 7.0]])
@@ -86,7 +87,7 @@ def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
     assert steps[0] != steps[1]
     assert np.all(steps > 10 * KEPT)
     for i, h in enumerate(1e-4 * np.eye(3)):
-        difference = (both(lanes + h)[0][0] - both(lanes - h)[0][0]) / 2e-4
+        difference = (both(lanes + h[None])[0][0] - both(lanes - h[None])[0][0]) / 2e-4
         np.testing.assert_allclose(gradient[:, i], difference, rtol=1e-4, atol=1e-6)
     # Without forcing a later start has exactly the opposite effect: it moves the first steps.
     np.testing.assert_allclose(gradient[:, 1], -gradient[:, 2], rtol=1e-11)
