@@ -10,6 +10,7 @@ from .mistuning import mistuned_chain as mistuned_chain
 from .mistuning import mistuned_stiffness as mistuned_stiffness
 from .patterns import LockedPattern as LockedPattern
 from .patterns import PhaseModel as PhaseModel
+from .patterns import block_sites as block_sites
 from .patterns import locked_patterns as locked_patterns
 from .patterns import pattern_guess as pattern_guess
 from .patterns import phase_model as phase_model

@@ -273,7 +273,7 @@ def block_sites(n: int, k: int, block: str = "centred") -> np.ndarray:
 
     !!! example
 
-        >>> from jaxchain.localization.patterns import block_sites
+        >>> from jaxchain.localization import block_sites
         >>> block_sites(8, 3).tolist(), block_sites(8, 6, "forward").tolist()
         ([3, 4, 5], [4, 5, 6, 7, 0, 1])
     """

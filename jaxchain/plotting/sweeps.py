@@ -178,6 +178,7 @@ def _masses(data: xr.Dataset) -> int:
 
 
 def hue_of(data: xr.Dataset, values: xr.DataArray, hue: Any) -> Hue | None:
+    """What the colour of a point stands for; None if `hue` names nothing of the dataset."""
     if not isinstance(hue, str) or hue not in {*data.variables, *data.dims, "active_share"}:
         return None
     is_variable = hue in {*data.data_vars, "active_share"}

@@ -153,6 +153,7 @@ def _patterns() -> Iterator[Row]:
         first=("x", 2, 1.5, math.nan, 10**30),
         phases=(None, "x", {}, 3.0, [], [math.nan], Told([0.0] * 4, r"\(4,\)")),
     )  # fmt: skip
+    yield row("block_sites", {"n": 5, "k": 2}, n=COUNT, k=(*COUNT, 6))
     yield row("locked_patterns", {"model": model, "count": 2}, **models, count=(*COUNT, 4))
     turns = (None, "x", {}, 1.5, math.nan, 4)
     yield row("rotating_wave", {"model": model, "turns": 1}, **models, turns=turns)
