@@ -105,7 +105,7 @@ def test_time_may_run_backward():
 def test_a_step_with_its_stages_in_a_loop_is_the_same_with_its_derivatives(solver, springs):
     rate, cubic, mixed = jnp.asarray([1.0, 0.4, 0.3])
     phase = jnp.linspace(0.0, 1.0, N)
-    field = DrivenInPlace(rate=rate, cubic=cubic, mixed=mixed, phase=phase, springs=springs)
+    field: Any = DrivenInPlace(rate=rate, cubic=cubic, mixed=mixed, phase=phase, springs=springs)
     terms: Any = dfx.ODETerm(field)
     y0: Any = tuple(jnp.asarray(np.random.default_rng(1).normal(size=(2, N))))
 
