@@ -125,7 +125,7 @@ def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
         >>> jax.config.update("jax_enable_x64", True)
         >>> from matplotlib.figure import Figure
         >>> from jaxchain import paper_chain
-        >>> from jaxchain.plotting import draw_mechanism
+        >>> from jaxchain.plotting.model import draw_mechanism
         >>> axes = Figure().subplots()
         >>> draw_mechanism(axes, paper_chain(3), masses=3)
         >>> [text.get_text() for text in axes.texts][:3]
@@ -280,7 +280,7 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
         >>> jax.config.update("jax_enable_x64", True)
         >>> from matplotlib.figure import Figure
         >>> from jaxchain import paper_chain
-        >>> from jaxchain.plotting import draw_friction
+        >>> from jaxchain.plotting.model import draw_friction
         >>> axes = Figure().subplots()
         >>> draw_friction(axes, paper_chain(1, width=0.1))
         >>> _, labels = axes.get_legend_handles_labels()
