@@ -62,9 +62,14 @@ def start(usual_signals, tmp_path, monkeypatch):
         process.stderr.close()
 
 
-def wait_for(path, process):
+def files_in(path):
+    return set(Path(path).rglob("*"))
+
+
+def wait_for(path, process, before=frozenset()):
+    """Waits until the path exists, with other files than `before`."""
     end = time.monotonic() + 200
-    while not Path(path).exists():
+    while not Path(path).exists() or (before and files_in(path) == before):
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() < end
         time.sleep(0.05)
@@ -104,8 +109,10 @@ def test_a_run_goes_on_bit_for_bit_after_a_kill_and_after_signals(start):
     process.wait()
     assert was_cut_off(folder)
     for number in (signal.SIGTERM, signal.SIGINT):
+        store = "out/tiny.second.zarr"
+        before = files_in(store)
         process = start("resume", "out", "--no-plot", "--quiet")
-        wait_for("out/tiny.second.zarr", process)
+        wait_for(store, process, before)  # before that it may not even have begun
         process.send_signal(number)
         said = process.communicate(timeout=120)[1]
         assert (process.returncode, "Traceback" in said) == (130, False), said
