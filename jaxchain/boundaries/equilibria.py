@@ -44,8 +44,6 @@ from ..solvers.dry_friction import BACKWARD, FORWARD, STICK, free_force, motion
 
 # Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
 _ON_AXIS = 1e-6
-# ... and the difference of growth rates of modes that cross together.
-_TOGETHER = 1e-9
 # The relative difference of eigenvalues that are taken together.
 _SAME = 1e-6
 
@@ -637,13 +635,10 @@ def _pair_sums(values: Any) -> np.ndarray:
     return np.concatenate([2.0 * values[values.imag > 0].real, real[i] + real[j]])
 
 
-def _hopf_test(u: np.ndarray, p: float, tangent: np.ndarray, values: Any) -> float:
+def _hopf_test(u: np.ndarray, p: float, tangent: np.ndarray, values: Any) -> np.ndarray:
+    """Each by itself, the greatest first: in a product those that cross together would cancel."""
     del u, p, tangent
-    sums = np.sort(_pair_sums(np.asarray(values)))
-    # Equal masses have modes that cross together, which must not cancel: they count once.
-    apart = np.diff(sums, prepend=-np.inf) > _TOGETHER * np.max(np.abs(values), initial=1.0)
-    signs = np.sign(sums[apart])
-    return float(np.prod(signs) * np.min(np.abs(sums))) if sums.size else 1.0
+    return -np.sort(-_pair_sums(np.asarray(values)))
 
 
 def continue_equilibrium(

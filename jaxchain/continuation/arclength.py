@@ -338,7 +338,8 @@ def continue_branch(
       |z|^2 = sum (weights_i z_i)^2, by default (mean of u_i^2) + p^2.
     - `bounds`: of p; the last point is on them.  `max_points`; `stop(u, p, tangent, extra)` ends
       the branch where it is true (a text becomes the reason).
-    - `tests`: name -> function of (u, p, tangent, extra), a number that changes its sign.
+    - `tests`: name -> function of (u, p, tangent, extra), a number that changes its sign at a
+      special point, or several, each by itself; those that agree count once.
     - `progress(number of points, point)` is called after each point.
     - `value_and_jacobian(u, p, args)` -> (F, [F_u F_p]) or (F, [F_u F_p], extra), if it is cheaper
       than one jvp per unknown.
@@ -366,7 +367,7 @@ def continue_branch(
     if tests is not None:
         check_kind("tests", tests, Mapping, "a dict of functions")
         for name, test in tests.items():
-            check_function(f"tests[{name!r}]", test, "u, p, tangent, extra -> a number", 4)
+            check_function(f"tests[{name!r}]", test, "u, p, tangent, extra -> numbers", 4)
     check_concrete(
         "use `newton` and `attach_derivative`.", start=start, parameter=parameter, args=args
     )

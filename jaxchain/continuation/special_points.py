@@ -16,6 +16,8 @@ Test = Callable[[np.ndarray, float, np.ndarray, Any], Any]
 # is certainly not.  A determinant is less accurate near its zero, where the corrector's own matrix
 # is singular.
 _ZERO, _NOT_ZERO = 1e-7, 1e-3
+# Entries of a test that differ by less, as a share of the greatest, have their zero together.
+_TOGETHER = 1e-9
 # A function that is still above this share after this number of trials has no zero: it jumps.
 _PATIENCE, _JUMP = 10, 1e-2
 # The distance, as a share of a segment, to the point that is tried in place of one that fails.
@@ -121,7 +123,9 @@ def locate(corrector: Corrector, piece: Segment, test: Callable[[Point], float])
                 loosely, point = True, point_at(piece, fraction, rough)
             if point is None:
                 raise ArithmeticError
-            tried[fraction] = (point, test(point))
+            if not np.isfinite(found := test(point)):
+                raise ArithmeticError
+            tried[fraction] = (point, found)
         value = tried[fraction][1]
         return 0.0 if abs(value) <= (_LOOSE if loosely else _ZERO) * scale else value
 
@@ -276,10 +280,17 @@ def changes(
             points.append(("fold", fold))
     for name, test in tests.items():
 
-        def value(point: Point, test: Test = test) -> float:
-            return float(test(point.u, point.p, point.tangent, point.extra))
+        def values(point: Point, test: Test = test) -> np.ndarray:
+            return np.atleast_1d(test(point.u, point.p, point.tangent, point.extra))
 
-        a, b = map(value, ends)
-        if np.isfinite(a) and np.isfinite(b) and (a < 0) != (b < 0):
-            points.append((name, zero(value)))
+        entries = list(zip(*map(values, ends), strict=False))  # their number may change
+        for k, (a, b) in enumerate(entries):
+            like = _TOGETHER * max(abs(a), abs(b))
+            twin = k > 0 and np.allclose(entries[k - 1], (a, b), rtol=0.0, atol=like)
+            if np.isfinite(a) and np.isfinite(b) and (a < 0) != (b < 0) and not twin:
+
+                def value(point: Point, k: int = k, of: Any = values) -> float:
+                    return float(of(point)[k]) if k < of(point).size else np.nan
+
+                points.append((name, zero(value)))
     return sorted(points, key=lambda item: item[1].fraction)

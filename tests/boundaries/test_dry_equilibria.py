@@ -263,3 +263,12 @@ def test_masses_that_stick_have_no_hopf_point_and_say_so():
     np.testing.assert_array_equal(results._value, [code._value for code in expected])
     np.testing.assert_array_equal(found.sticking, speeds == 0)
     np.testing.assert_allclose(found.state[0][:, 0], np.sign(speeds) * friction(1.0), atol=1e-14)
+
+
+def test_pairs_that_cross_within_one_step_are_told_apart():
+    """Masses without springs between them: each at mu'(v) = -2 xi."""
+    damping = np.array([0.05, 0.0501, 0.06, 0.05])
+    chain = paper_chain(4, 1.3, None).with_(coupling=0.0, damping_ratio=damping)
+    branch = continue_equilibrium(chain, None, "belt_speed", (0.5, 1.6))
+    found = [point.p for point in branch.of_kind("hopf")]
+    np.testing.assert_allclose(found, np.unique(-np.log(2 * damping) / 2), rtol=1e-12)
