@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from of_models import functions_of_a_model
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 from synthetic import cycle_branch
@@ -522,23 +523,7 @@ def compare(case):
 
 def test_no_public_function_of_a_chain_is_forgotten():
     cases = {name.split()[0] for name in (*CHEAP, *LONG, *REFUSED, *ELSEWHERE)}
-    submodules = [
-        jc,
-        *(getattr(jc, submodule) for submodule in jc.SUBMODULES if submodule != "plotting"),
-    ]
-    public = [
-        getattr(submodule, name)
-        for submodule in submodules
-        for name in getattr(submodule, "__all__", ())
-    ]
-    functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
-    taking = {
-        f.__name__
-        for f in functions
-        for name, of in inspect.signature(f).parameters.items()
-        if name in ("chain", "model") and not re.search("PhaseModel|str", str(of.annotation))
-    }
-    assert taking <= cases
+    assert functions_of_a_model() <= cases
 
 
 @pytest.mark.parametrize("name", CHEAP)

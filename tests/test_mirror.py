@@ -3,14 +3,12 @@
 Every public function that takes a chain is asked about random chains and their mirror images.
 """
 
-import inspect
-import re
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from of_models import functions_of_a_model
 from systems.orbits import closed_orbit
 
 import jaxchain as jc
@@ -186,24 +184,7 @@ def compare(case, chains, tolerance):
 
 def test_no_public_function_of_a_chain_is_forgotten():
     cases = {name.split()[0] for name in (*QUICK, *LONG, *SPEEDLESS, *SINGLE)}
-    # Pictures are of runs, and these are compared.
-    submodules = [
-        jc,
-        *(getattr(jc, submodule) for submodule in jc.SUBMODULES if submodule != "plotting"),
-    ]
-    public = [
-        getattr(submodule, name)
-        for submodule in submodules
-        for name in getattr(submodule, "__all__", ())
-    ]
-    functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
-    taking = {
-        f.__name__
-        for f in functions
-        for name, of in inspect.signature(f).parameters.items()
-        if name in ("chain", "model") and not re.search("PhaseModel|str", str(of.annotation))
-    }
-    assert taking <= cases
+    assert functions_of_a_model() <= cases
 
 
 def test_the_mirror_image_does_the_same():

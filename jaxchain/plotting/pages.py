@@ -83,7 +83,7 @@ def figure(datasets: Mapping[str, xr.Dataset], hopf: float | None = None) -> Fig
     if not datasets:
         raise ValueError(f"Argument `datasets` must hold a dataset at least, but is {datasets}.")
     if hopf is not None:
-        as_array("hopf", hopf, 0, 0, "None takes that of each dataset.")
+        as_array("hopf", hopf, 0, 0, "None takes the Hopf speed of each dataset.")
     shown = panels(datasets)
     if pictured := [panel for panel in shown.values() if picture_names(panel.runs)]:
         return draw_states(pictured)

@@ -294,7 +294,7 @@ class _Builder:
         return start
 
     def observers(self, names: Sequence[str]) -> dict[str, AbstractObserver]:
-        """The observers by their keys: amplitudes, those of the table, and further custom ones."""
+        """The observers by their keys: amplitudes, then those in the table, then your own."""
         table, time = self.experiment.observe, self.experiment.time
         how = table.model_dump(exclude={"quantities", "others"}, exclude_none=True)
         if "component" in how:

@@ -35,8 +35,8 @@ def lane(found, k):
     return jax.tree.map(lambda a: a[k], found)
 
 
-# Two masses in closed form: x = r cos phi, v = -r sin phi.  Of the one r - a grows until r is 0 or
-# that of vibration; of the other r decays.
+# Two masses in closed form: x = r cos phi, v = -r sin phi.  In the first one r - a grows until r
+# is 0 or `LIVELY`; in the second one r decays.
 GROWTH, LIVELY = 0.1, 2.0
 # Belt speed, a, decay, frequency of the other; r of the mass at both starts; patience; outcome.
 FLOWS = {
@@ -55,7 +55,7 @@ FLOWS = {
 
 
 def flow(chain, start, t1, *, observe, **how):
-    """What `simulate` gives; chain numbers that it does not need hold those of the flow."""
+    """Stands for `simulate`: a flow in closed form, with its parameters in fields of the chain."""
     del how
     x, v = start
     r, phase = jnp.hypot(x, v), jnp.arctan2(-v, x)
@@ -83,7 +83,7 @@ def flow(chain, start, t1, *, observe, **how):
 
 @pytest.fixture
 def closed_form():
-    """Runs are those of the flow, in a program of its own, so that no other test is given it."""
+    """Runs by the flow. Its compiled program is its own: no other test gets it from a cache."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "simulate", flow)
         patch.setattr(module, "_edge", eqx.filter_jit(module._edge.__wrapped__))

@@ -252,7 +252,7 @@ class Side(Well):
 
 
 class Holed(AbstractRegion):
-    """A region in a part of which runs fail."""
+    """Runs from half of this region fail."""
 
     region: Ranges
     fails: Array = eqx.field(converter=jnp.asarray)

@@ -81,7 +81,7 @@ def test_it_is_linear_in_the_values_and_transforms():
 
 @pytest.mark.long
 def test_the_bar_holds_for_random_sets():
-    """Eleven sets, that of the paper, and one whose friction does not weaken."""
+    """Eleven random sets, the paper's set, and one whose friction does not weaken."""
     sets = np.concatenate([[PAPER, [0.05, 1.0, 1.0, 0.5]], random_sets(11, 11)])
     found = jax.jit(jax.vmap(lambda p: stability_range(of(p), error_bars=True)))(jnp.asarray(sets))
     known = np.isfinite(found.fold_limit) & np.isfinite(found.fold_dry)

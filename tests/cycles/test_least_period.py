@@ -57,7 +57,7 @@ def test_a_multiple_of_the_period_that_is_given_is_divided():
     for times in (2, 3, 4, 7, 12):
         again = find_limit_cycle(SMOOTH, (found.state, times * found.period))
         assert float(again.period) == pytest.approx(PERIOD, abs=1e-8), times
-        # The multipliers are those of once round, and not their powers.
+        # Multipliers over one period, not over several.
         np.testing.assert_allclose(again.multipliers, found.multipliers, rtol=1e-3)
         np.testing.assert_allclose(again.state, found.state, atol=1e-8)
 

@@ -187,6 +187,14 @@ def test_one_displacement_is_a_chain_dry_and_smoothed():
     np.testing.assert_allclose(rates[1], rates[0], atol=1e-14)
 
 
+def test_a_release_accelerates_by_the_greatest_friction():
+    cells = two_of_each(friction=LAW.with_(width=1e-2))
+    share = np.linalg.inv(np.asarray(cells.mass))[cells.sliding, cells.sliding]
+    found = cells.release_acceleration()
+    np.testing.assert_allclose(found, share * np.array([1.0, 0.8, 1.2]), rtol=1e-12)
+    assert two_of_each().release_acceleration() is None
+
+
 def test_mode_coupling_from_matrices():
     """The force of friction that changes with y makes the stiffness unsymmetric."""
     ready = ModeCoupling(2.0, 1.0, 0.5, 1.0, 1.2, 0.02, 0.03, cubic=0.7, coupling=0.1)
