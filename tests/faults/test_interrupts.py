@@ -50,12 +50,16 @@ def start(tmp_path_factory):
     }
 
     def call(folder, *words):
-        # A shell may have told its children to ignore the signal.
-        return subprocess.Popen(
-            [sys.executable, *words], env=environment, text=True, cwd=folder,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-        )  # fmt: skip
+        # A shell may have told its children to ignore the signal.  `preexec_fn` would fork a process
+        # whose threads JAX uses.
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            return subprocess.Popen(
+                [sys.executable, *words], env=environment, text=True, cwd=folder,
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            )  # fmt: skip
+        finally:
+            signal.signal(signal.SIGINT, before)
 
     return call
 
