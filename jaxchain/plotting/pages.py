@@ -133,7 +133,7 @@ def draw(axes: Axes, panel: Panel[xr.Dataset], hopf: float | None = None) -> Non
         draw_series(axes, panel.dry, _heights(panel.dry), across, [runs])
     # Rounding errors do not fill the panel.
     top = max(float(np.nanmax(values.where(~failed(data)).values, initial=0.0)), 1e-3)
-    axes.set_ylim(-0.05 * top, 1.08 * top)
+    axes.set_ylim(-0.05 * top, 1.35 * top)  # room for the legend
     if shade is not None:
         bar = add_colour_bar([axes], shade, "vibrating oscillators")
         bar.locator = MaxNLocator(integer=True)

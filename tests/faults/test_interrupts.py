@@ -50,8 +50,8 @@ def start(tmp_path_factory):
     }
 
     def call(folder, *words):
-        # A shell may have told its children to ignore the signal.  `preexec_fn` would fork a process
-        # whose threads JAX uses.
+        # A shell may have told its children to ignore the signal.  `preexec_fn` would fork, which
+        # the threads of JAX do not survive.
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             return subprocess.Popen(
