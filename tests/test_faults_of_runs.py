@@ -63,7 +63,7 @@ def start(usual_signals, tmp_path, monkeypatch):
 
 
 def files_in(path):
-    return set(Path(path).rglob("*"))
+    return frozenset(Path(path).rglob("*"))
 
 
 def wait_for(path, process, before=frozenset()):

@@ -113,7 +113,7 @@ class Closed(measurements.Waveform):
     """A cycle in closed form, which compiles in seconds; that of a chain takes a minute."""
 
     def __init__(self, chain: Any, mass: int, what: str):
-        self.chain, self.mass, self.what, self.cycle = chain, mass, what, None  # pyright: ignore
+        self.chain, self.mass, self.what, self.cycle = chain, mass, what, None  # pyright: ignore[reportAttributeAccessIssue]
         self.period = 2 * jnp.pi * (1 + chain.damping_ratio)
         self.sound, self.slip, self.parts = jnp.asarray(True), jnp.ones(()), ()
 

@@ -190,7 +190,7 @@ def test_one_displacement_is_a_chain_dry_and_smoothed():
 def test_a_release_accelerates_by_the_greatest_friction():
     cells = two_of_each(friction=LAW.with_(width=1e-2))
     share = np.linalg.inv(np.asarray(cells.mass))[cells.sliding, cells.sliding]
-    found = cells.release_acceleration()
+    found: Any = cells.release_acceleration()
     np.testing.assert_allclose(found, share * np.array([1.0, 0.8, 1.2]), rtol=1e-12)
     assert two_of_each().release_acceleration() is None
 
