@@ -104,6 +104,11 @@ def _traced_once(function: Flat) -> Flat:
     programs: dict[tuple[jax.core.ShapedArray, ...], Flat] = {}
 
     def run(*args: Any) -> list[Any]:
+        # Without weak types: the rules are asked for shapes and types that have none.
+        args = tuple(
+            jax.lax.convert_element_type(a, a.dtype) if jax.typeof(a).weak_type else a
+            for a in args
+        )
         kinds = tuple(map(jax.typeof, args))
         if kinds not in programs:
             programs[kinds] = jax.jit(traced(function, *kinds), inline=True)

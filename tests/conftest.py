@@ -6,26 +6,15 @@ import gc
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 # Compiling is most of the time, and most programs run for a moment only: a compiler that optimizes
-# little takes less than half of it, and numbers differ in the last digits. (Level 0 takes less
-# again, but there the steps of a run are not repeated bit by bit on the way back of a gradient.)
-# XLA_FLAGS of the environment takes precedence: with `XLA_FLAGS= pytest` the tests see what users
-# see. A jaxlib that does not know a flag ends the process, so another one asks. Workers, and the
-# processes that tests start, take over what the first process has found.
-if "XLA_FLAGS" not in os.environ and "JAX_PLATFORMS" not in os.environ:
-    flags = "--xla_backend_optimization_level=1"
-    probe = subprocess.run(
-        [sys.executable, "-c", "from jaxlib import xla_client; xla_client.make_cpu_client()"],
-        env=os.environ | {"XLA_FLAGS": flags}, capture_output=True,
-    )  # fmt: skip
-    os.environ["XLA_FLAGS"] = flags if probe.returncode == 0 else ""
+# little takes less than half of it, and numbers differ in the last digits. With
+# `JAX_DISABLE_MOST_OPTIMIZATIONS=0 pytest` the tests see what users see.
+os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 
 import jax
 import matplotlib as mpl

@@ -149,7 +149,7 @@ def test_derivatives_of_dry_cells_are_those_of_differences():
         "force": jnp.zeros(2), "normal_load": jnp.ones(3),
         "stiffness": jnp.array([[1.0, 0.3], [0.3, 2.0]]),
     }  # fmt: skip
-    start = tuple(jnp.full(3, value) for value in (-2.0, 1.5, 0.0, 0.3))
+    start = tuple(jnp.full(3, value, float) for value in (-2.0, 1.5, 0.0, 0.3))
     how = equal, SHIFTS, start, (jnp.array([1.0, 0.0, 0.0]), *STILL[1:]), 2.0
     slope = (along(1e-6, *how)[0] - along(-1e-6, *how)[0]) / 2e-6
     np.testing.assert_allclose(along(0.0, *how)[1], slope, atol=1e-6)

@@ -90,7 +90,7 @@ def test_simulate_uses_it():
     own = simulate(chain, y0, 30.0, solver=Rodas4(1))
     controller = SwitchingController(pid(dtmax=0.5, pcoeff=0.3, icoeff=0.7), chain)
     stats = solve(chain, Rodas4(1), controller, y0, 30.0).stats
-    assert int(own.steps + own.rejected) == pytest.approx(int(stats["num_steps"]), rel=0.02)
+    assert int(own.steps + own.rejected) == pytest.approx(int(stats["num_steps"]), rel=0.05)
 
 
 class MovingBelt(AbstractOscillators):
