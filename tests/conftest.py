@@ -115,11 +115,25 @@ LONGEST = ("boundaries", "cycles", "model", "tests", "simulation", "basins", "in
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """One worker runs all files of a folder, because these share programs."""
+    """The folder that takes longest comes first."""
     ranks = {folder: rank for rank, folder in enumerate(LONGEST)}
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group(item.path.parent.name))
     items.sort(key=lambda item: ranks.get(item.path.parent.name, len(ranks)))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """One worker runs all files of a folder, because these share programs.
+
+    xdist's marks for groups do nothing with pytest 9.2.  Should `_split_scope` go, a worker runs
+    the tests of a file.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFolder(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            return nodeid.split("::")[0].rpartition("/")[0]
+
+    return ByFolder(config, log)
 
 
 @pytest.fixture

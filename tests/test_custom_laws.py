@@ -84,6 +84,7 @@ def test_the_hopf_speed_of_an_own_law_and_its_gradient_are_the_closed_form():
 
 
 # Numbers per mass are reduced to one mass, and equal ones to one number: weights are not.
+@pytest.mark.long
 def test_a_neural_network_is_a_law():
     paper = paper_chain(2, 1.5, None)
     own = paper.with_(friction=network())

@@ -73,6 +73,7 @@ def test_this_version_of_jax_has_them_all():
     assert not _internals.uses_operation(program, "tanh")
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_without_them_runs_and_forward_derivatives_are_the_same():
     tell = "\nprint(json.dumps([jaxchain._internals.missing, found]))"

@@ -138,8 +138,8 @@ MISTUNED = paper_chain(3, width=0.1).with_(
 @pytest.mark.parametrize(
     ("chain", "amplitude"),
     [
-        (MISTUNED, 0.003),
-        pytest.param(paper_chain(1), 0.01, marks=pytest.mark.long),
+        pytest.param(MISTUNED, 0.003, marks=pytest.mark.long),
+        (paper_chain(1), 0.01),
         pytest.param(paper_chain(1, width=0.2), 0.003, marks=pytest.mark.long),
     ],
     ids=["mistuned", "one mass", "one mass, wide smoothing"],

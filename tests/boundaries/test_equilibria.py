@@ -83,6 +83,7 @@ def test_just_beyond_a_supercritical_hopf_point_there_is_a_small_cycle():
     assert 0.0 < float(cycle.amplitude[0]) < 0.5
 
 
+@pytest.mark.long
 def test_in_a_ring_the_named_frequency_is_found():
     """A wave of wavenumber q has the damping .1 (2 - 2 cos q): another Hopf point, later."""
     cells = brusselator(2.44)

@@ -158,6 +158,7 @@ def saddle_node(parameters, guess):
     return root.x
 
 
+@pytest.mark.long
 def test_friction_that_is_flat_at_rest_folds_below_the_speed_of_the_belt(flat_folds):
     found = flat_folds
     np.testing.assert_array_equal(found.successful, [True, True, True, False])

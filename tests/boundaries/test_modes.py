@@ -61,6 +61,7 @@ def small(**numbers):
     return ModeCoupling(**{"contact_stiffness": 1.0, "friction": 0.0, **given})
 
 
+@pytest.mark.long
 def test_flutter_of_many_displacements_is_found_from_any_start():
     mu, omega = onset()
 
@@ -161,6 +162,7 @@ def test_shapes_and_slopes_have_derivatives():
     np.testing.assert_allclose(slopes, (ahead - behind) / (2.0 * h), rtol=1e-7)
 
 
+@pytest.mark.long
 def test_modes_cross_without_an_exchange():
     """Two uncoupled displacements: the frequency of one passes that of the other."""
     cells = MechanicalCells([[1.0, 0.0], [0.0, 2.0]], damping=0.1)
@@ -195,6 +197,7 @@ def test_modes_of_a_chain_are_those_of_steady_sliding(width):
     np.testing.assert_allclose(jnp.real(modes.slopes[0]), (near[1] - near[0]) / 1e-4, rtol=1e-3)
 
 
+@pytest.mark.long
 def test_a_dry_mass_on_a_belt_at_rest_has_no_modes():
     law = ExponentialDecay(1.0, 0.5, 0.5)
     cells = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=0.0)

@@ -64,6 +64,7 @@ def test_hopf_and_fold_meet_where_the_third_derivative_of_friction_vanishes(widt
     assert abs(damping - 0.5) < 1.1 * estimate
 
 
+@pytest.mark.long
 def test_the_width_beyond_which_vibration_sets_in_gently():
     def equations(u):
         f = friction(u[1], u[0])

@@ -104,6 +104,7 @@ def fold_of(chain):
     return continue_cycle(find_limit_cycle(chain)).of_kind("fold")[0]
 
 
+@pytest.mark.long
 def test_hopf_points_end_where_their_frequency_is_zero(monkeypatch):
     """An interrupted curve says so, and does not go on in the other direction."""
     point = find_hopf_point(BogdanovTakens(*numbers(0.05, -1.0)), "a", at_rest(2))
@@ -172,6 +173,7 @@ class Slaved(AbstractCells):
         return grows * x - v, grows * v + x, self.c * y + R
 
 
+@pytest.mark.long
 def test_the_lyapunov_coefficient_of_several_numbers_is_that_of_the_normal_form():
     """2 (b - 1 / c) jumps through infinity at c = 0, and is zero at c = 1 / b alone."""
     for b, c in ((-1.0, -4.0), (-1.5, -0.5)):
@@ -252,6 +254,7 @@ def test_a_dry_fold_is_found_again_with_its_slopes(dry_fold):
         assert float(slopes[name]) == pytest.approx(float(slope), abs=1e-7), name
 
 
+@pytest.mark.long
 def test_a_curve_ends_with_the_name_of_the_number_that_vanishes(dry_fold):
     """The amplitude of a slip cycle is about the belt speed."""
     curve = continue_special(dry_fold, "mu_dynamic")

@@ -403,6 +403,7 @@ class Rooted(AbstractCells):
         return v, -x, w, -2.0 * y, -jnp.sqrt(jnp.abs(z))
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_run_whose_exponents_fail_has_failed():
     """It never closes, and no longer run would tell: only its disturbances are NaN."""

@@ -211,6 +211,7 @@ def test_a_smoothed_cycle_has_the_exponents_of_its_multipliers():
         assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=2e-6)
 
 
+@pytest.mark.long
 def test_a_cell_has_the_exponents_of_the_same_mass_as_a_chain():
     """At width 1e-2, where the second one shrinks by e^-4 per unit; Liouville's formula agrees."""
     friction = paper_chain(1, width=1e-2).friction

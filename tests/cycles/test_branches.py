@@ -58,6 +58,7 @@ def test_a_branch_goes_round_its_fold_and_ends_in_the_hopf_point(branch):
     assert np.all(branch.v[:, 0] > 0)
 
 
+@pytest.mark.long
 def test_a_point_without_a_known_error_is_not_refined(branch, monkeypatch):
     """The search at the looser tolerance, whose difference is the error, finds nothing."""
     fold = branch.of_kind("fold")[0].raw

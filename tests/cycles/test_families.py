@@ -18,6 +18,7 @@ def exact(a):
     return 4 * ellipk(a**2 / (2 + 2 * a**2)) / np.sqrt(1 + a**2)
 
 
+@pytest.mark.long
 def test_cycles_without_damping_are_a_family_over_their_period():
     cells = MechanicalCells(1.0, damping=0.0, local_force=cubic)
     assert exact(1.0) == pytest.approx(4.76802202910, abs=1e-11)

@@ -97,6 +97,7 @@ def onset_gaps(z, force, omega):
     return [y[0] + z[0], y[1], z[1] - z[0] + 1.0, np.hypot(z[1], z[2]) - force]
 
 
+@pytest.mark.long
 def test_a_forced_response_gains_two_stops_at_an_onset():
     """The onset from the matrix exponential; it slides for half a period up to there."""
     period = 2 * np.pi / 0.9
@@ -147,6 +148,7 @@ def at_start(branch, **numbers):
     return chain, tuple(jnp.asarray(part[0]) for part in branch.state), branch.period[0]
 
 
+@pytest.mark.long
 def test_a_branch_ends_where_a_parameter_leaves_its_domain_or_the_belt_stops(dry_branch):
     start = at_start(dry_branch)
     branch = continue_cycle(*start, parameter="mu_dynamic", direction=-1)

@@ -224,6 +224,7 @@ def test_antiphase_cycles_lose_their_symmetry_in_three_ways():
         assert cycle_symmetry(field, state, other.period[0]).label == symmetry.label
 
 
+@pytest.mark.long
 def test_two_shifts_may_lead_to_masses_that_move_alike():
     # Two rotations by one mass are none of the identity.
     cells, start = Ring(jnp.asarray(-0.25)), wave(4, 2, -0.25)

@@ -143,7 +143,7 @@ def closed(monkeypatch):
         monkeypatch.setattr(module, "Waveform", Closed)
 
 
-@pytest.mark.parametrize("offset", [None, "unknown"])
+@pytest.mark.parametrize("offset", [None, pytest.param("unknown", marks=pytest.mark.long)])
 def test_the_fit_of_a_cycle_is_that_of_scipy_with_its_errors_phase_and_offset(closed, offset):
     added = 0.0 if offset is None else 2.5
     signal = Signal(TIMES, NOISY + added, 0.01, offset=offset)

@@ -247,6 +247,7 @@ def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
         sweep(Wave(jnp.asarray(0.5), "free"), start, 30.0, over=grid, observe=observe, store=kept)
 
 
+@pytest.mark.long
 def test_a_run_has_the_slopes_of_differences():
     cells, start = driven("free"), state(2, 2)
 
@@ -261,6 +262,7 @@ def test_a_run_has_the_slopes_of_differences():
         np.testing.assert_allclose(both(at)[0][:, i], difference, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_a_forced_cycle_comes_back_with_all_its_multipliers():
     cells, start = driven("free"), state(2, 2)
     period = float(cells.forcing_period())

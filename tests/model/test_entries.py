@@ -86,6 +86,7 @@ def test_bad_factors_are_refused(parts, names):
         pads(**parts)
 
 
+@pytest.mark.long
 def test_an_entry_is_continued_and_searched_in():
     """The stiffness that friction couples: k12 - mu, as an entry and as a factor."""
     by_entry = find_hopf_point(pads(), "stiffness[0, 1]", REST, bounds=(-1.5, 0.5))

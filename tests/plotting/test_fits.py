@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxchain import hopf_belt_speed
 from jaxchain.inverse import Measurements, identify, profile
@@ -36,6 +37,7 @@ def test_a_profile_is_drawn_as_its_closed_form():
     assert axes.get_xlabel() == "$v_0$ (–)"
 
 
+@pytest.mark.long
 def test_values_without_a_fit_are_left_out():
     chain, lab = paper_chain(1, width=None), Measurements(hopf=(1.2, 0.05))
 

@@ -186,6 +186,7 @@ def test_what_is_swept_along_a_dimension_serves_as_an_axis_on_axes_that_are_give
         plot_map(data.assign_coords(belt_speed=("sample", np.ones(10))), x="belt_speed")
 
 
+@pytest.mark.long
 def test_a_million_runs_are_drawn_as_pixels_in_a_small_file(tmp_path):
     axes = {"belt_speed": np.linspace(0, 2, 1000), "damping_ratio": np.linspace(0, 1, 1000)}
     data = results(axes, np.arange(1_000_000).reshape(1000, 1000) % 3, 2)

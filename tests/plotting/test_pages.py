@@ -210,7 +210,9 @@ def test_a_long_chain_and_a_large_sweep_are_drawn_too(tmp_path):
     assert (tmp_path / "long.pdf").stat().st_size < 1e6
 
 
-@pytest.mark.parametrize("kept", ["energy_velocity", "amplitude_velocity"])
+@pytest.mark.parametrize(
+    "kept", [pytest.param("energy_velocity", marks=pytest.mark.long), "amplitude_velocity"]
+)
 def test_the_figure_of_a_scene_of_cells_shows_every_run(pairs, kept):
     data = pairs[[kept, "result", "steps"]]
     (axes,) = named_panels(figure({"pairs": data}))

@@ -350,6 +350,7 @@ def modes(tmp_path):
     return code, str(scene)
 
 
+@pytest.mark.long
 def test_a_scene_of_ones_own_cells_has_the_numbers_of_a_sweep_bit_for_bit(modes, tmp_path, capsys):
     code, scene = modes
     folder, option = tmp_path / "results", ["--model", f"{code}:TwoModes"]

@@ -48,6 +48,7 @@ def test_a_chain_and_the_same_mass_as_cells_are_run_alike():
     assert isinstance(Method().suited(the_same_mass(None), 1).solver, EventDriven)
 
 
+@pytest.mark.long
 def test_a_method_is_its_fields_also_where_they_are_traced():
     chain, watch = paper_chain(1, width=1e-2), Amplitude(10.0)
 
@@ -81,6 +82,7 @@ def test_accuracy_picks_the_same_width_in_other_units():
         np.testing.assert_allclose(other.rtol, chosen.rtol, rtol=1e-12)
 
 
+@pytest.mark.long
 def test_the_promise_of_accuracy_is_kept_by_a_sweep_of_cells():
     cells, accuracy, speeds = the_same_mass(1e-3), 1e-3, (1.3, 1.4)
     data = sweep(

@@ -296,6 +296,7 @@ def test_an_observer_of_ones_own_is_labelled():
     np.testing.assert_allclose(data["last"].sel(excited=2), run.observed, atol=1e-4)
 
 
+@pytest.mark.long
 def test_labels_know_the_chain_of_their_lane():
     """A belt so fast that no amplitude counts, set by `vary`."""
     data = sweep(
