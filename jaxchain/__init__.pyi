@@ -30,6 +30,7 @@ from .model.chain import paper_chain as paper_chain
 from .model.chain import steady_sliding as steady_sliding
 from .model.friction import Coulomb as Coulomb
 from .model.friction import ExponentialDecay as ExponentialDecay
+from .model.friction import StaticKinetic as StaticKinetic
 from .model.friction import TanhFriction as TanhFriction
 from .model.friction import WeakeningStrengthening as WeakeningStrengthening
 from .model.initial_states import equation_8 as equation_8

@@ -119,6 +119,12 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
         "There is no fold: damping outweighs the weakening of friction at every speed, 2 xi_n > "
         "p_n F'(w), so all motions approach steady sliding at every belt speed."
     )
+    drops = (
+        "Friction falls at once where a mass is released (`mu_static` is above mu(0)), and this "
+        "search knows slip cycles only, which a vibration that sticks outlives. Follow that one "
+        "to the belt speed where it ends: `continue_cycle(find_limit_cycle(chain))`, from a slow "
+        "belt on. For shares sample: `basin_shares`."
+    )
     undamped = (
         "No fold was found: the damping ratio of the mass is not positive, so its vibration "
         "survives at every belt speed. Give it damping."

@@ -530,7 +530,8 @@ def sliding_basin(chain: Chain, box: Box | None = None) -> SlidingBasin:
 
     **Result:** `at_hopf` near a Hopf point, where the cycle is smaller than the grid;
     `belt_too_slow` for a belt slower than twice the speed of greatest friction; `undamped` if no
-    cycle is found and no damping ends vibration; `max_steps_reached` if a turn does not end;
+    cycle is found and no damping ends vibration; `drops` if friction falls at once at a release;
+    `max_steps_reached` if a turn does not end;
     `no_step_helps` if the cycle does not close to 1e-9, as when it multiplies disturbances by more
     than about 1e5.
 
@@ -599,7 +600,10 @@ def _basin(chain: Chain, box: Box) -> SlidingBasin:
     closed = once.ended & (gap <= _CLOSED) & jnp.all(jnp.isfinite(numbers))
     numbers = attach_derivative(_left_of_turn, numbers, safe, once=_ONCE)
     result = SearchResult.where(exists & ~closed, SearchResult.no_step_helps, innermost.result)
-    cycle, plain = exists & closed, jnp.isfinite(innermost.share_of_plane)
+    drop = chain.law.drop()
+    known = jnp.asarray(True) if drop is None else ~jnp.any(drop > 0)
+    result = SearchResult.where(known, result, SearchResult.drops)
+    cycle, plain = known & exists & closed, known & jnp.isfinite(innermost.share_of_plane)
     rather = jnp.where(plain, innermost.share_of_plane, 0.0)
 
     def where_it_is(of_cycle: Any, otherwise: Any = jnp.nan) -> Array:

@@ -586,13 +586,14 @@ def find_grazing(chain: Chain, mass: int) -> Grazing:
     folds = folds & at_speed.can_be_cycle(jnp.exp(dry.q[-2]), jnp.abs(v))
     # Where steps do not resolve the weakening of friction, Newton's steps can end at no cycle.
     folds = folds & (jnp.max(jnp.abs(gap)) < 1e-6)
-    exists = jnp.isfinite(speed) & slides & folds
-    of = SearchResult
+    drop, of = fixed.law.drop(), SearchResult
+    drops = jnp.asarray(False) if drop is None else jnp.any(drop > 0)
+    exists = jnp.isfinite(speed) & slides & folds & ~drops
     result = of.where(slides | jnp.isnan(speed), of.no_touch, of.passed)
     result = of.where(dry.is_fold | jnp.isnan(speed), result, of.no_turn)
     expected, damped = jnp.isfinite(summits.speeds[0]), alone.damping_ratio > 0
     result = without_fold(result, expected, damped, damping_outweighs(fixed))
-    result = of.where(exists, of.successful, result)
+    result = of.where(drops, of.drops, of.where(exists, of.successful, result))
     # z = (q without the belt speed, w, v_d), the unknowns of the fold equations.
     z = jnp.concatenate([dry.q[:-1], jnp.stack([dry.w, speed])])
     slope = jnp.concatenate([slopes[:, :-3], jnp.sum(slopes[:, -2:], axis=1)[:, None]], axis=1)

@@ -662,7 +662,8 @@ def phases_of(
         chain, state, period, observe=Trajectory(jnp.asarray(times)), solver=EventDriven()
     )
     samples = [np.asarray(part)[:-1] for part in run.observed]
-    still = 10 * RESOLUTION * (1.0 + abs(float(chain.belt_speed)))
+    unit = float(chain.natural_scales()[1])
+    still = 10 * RESOLUTION * (unit + abs(float(chain.belt_speed)))
     w = samples[chain.contact] - float(chain.belt_speed)
     modes = np.where(np.abs(w) <= still, STICK, np.sign(w))
     r = np.asarray(jax.vmap(lambda t, *y: free_force(chain, t, y))(times[:-1], *samples))

@@ -6,6 +6,7 @@ from .friction import AbstractFrictionLaw as AbstractFrictionLaw
 from .friction import Coulomb as Coulomb
 from .friction import ExponentialDecay as ExponentialDecay
 from .friction import GaussianStribeck as GaussianStribeck
+from .friction import StaticKinetic as StaticKinetic
 from .friction import TanhFriction as TanhFriction
 from .friction import WeakeningStrengthening as WeakeningStrengthening
 from .initial_states import equation_8 as equation_8

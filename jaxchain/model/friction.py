@@ -10,7 +10,7 @@ number, or one per mass (shape (n,), for mistuned chains), and a leaf of a pytre
 import abc
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -74,10 +74,10 @@ def check_curve(name: str, coefficient: Callable[[Any], Any], mu_static: Any) ->
                 f" Up to a speed of {_SPEEDS[-1]:g} it must be finite and at least 0."
             )
     least_jump = _JUMP * values.max()
-    if np.any(np.abs(values[0] - np.asarray(mu_static, float)) > least_jump):
+    if np.any(values[0] > np.asarray(mu_static, float) + least_jump):
         raise ValueError(
-            f"{curve} jumps at the speed 0: `mu_static` is {mu_static}, but mu(0) is "
-            f"{np.squeeze(values[0])}. Both are the friction at rest and must be the same."
+            f"{curve} rises at the speed 0: `mu_static` is {mu_static}, but mu(0) is "
+            f"{np.squeeze(values[0])}. Friction at rest must be at least mu(0): raise `mu_static`."
         )
     jump, speed = _greatest_jump(mu, values)
     if jump > least_jump:
@@ -117,6 +117,7 @@ _FINAL = {
     "stick_speed": "dry friction sticks at speed 0; smooth the law by `TanhFriction`.",
     "law": "a law is its own; leave it out.",
     "parameters": "they are the fields that are not static.",
+    "drop": "it is `mu_static` less mu(0).",
     "with_": "it changes the fields by their names; make each number a field.",
 }
 
@@ -168,7 +169,8 @@ class AbstractFrictionLaw(AbstractFriction):
     are numbers, one or one per mass; anything else, such as a whole exponent, is a static field,
     `p: int = equinox.field(static=True)`.
 
-    mu(s) must be continuous, and analytic except at the speeds in `knots`.
+    mu(s) must be continuous for s > 0, and analytic except at the speeds in `knots`.  `mu_static`
+    may exceed mu(0): friction then falls at once when a mass is released, see `StaticKinetic`.
 
     !!! example
 
@@ -193,7 +195,8 @@ class AbstractFrictionLaw(AbstractFriction):
         refuse_overrides(cls, AbstractFrictionLaw, _FINAL)
 
     mu_static: eqx.AbstractVar[PerMass]
-    """Friction at rest, mu(0): a sticking mass holds while |force| <= mu_static."""
+    """Friction at rest, at least mu(0): a sticking mass holds while |force| <= mu_static."""
+    _continuous: ClassVar[bool] = False  # whether mu(0) is `mu_static` by the formula
 
     @property
     def knots(self) -> ArrayLike | Sequence[float] | None:
@@ -213,6 +216,12 @@ class AbstractFrictionLaw(AbstractFriction):
         **Arguments:** `speed` = |w| >= 0, of any shape; of shape (n,) or () if a parameter is
         given per mass.
         """
+
+    def drop(self) -> PerMass | None:
+        """mu_static - mu(0), by which friction falls at a release; None if it never does."""
+        if self._continuous:
+            return None
+        return self.mu_static - self.coefficient(jnp.zeros_like(to_float(self.mu_static)))
 
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         """F(w) of a mass that slides, and 0 at w = 0."""
@@ -266,6 +275,7 @@ class ExponentialDecay(AbstractFrictionLaw):
     (1.0, 0.68394)
     """
 
+    _continuous = True
     mu_static: PerMass = eqx.field(converter=_number("mu_static"))
     mu_dynamic: PerMass = eqx.field(converter=_number("mu_dynamic"))
     v_ref: PerMass = eqx.field(converter=_number("v_ref"))
@@ -305,6 +315,7 @@ class WeakeningStrengthening(AbstractFrictionLaw):
     [1.0, 0.7609, 1.5]
     """
 
+    _continuous = True
     mu_static: PerMass = eqx.field(converter=_number("mu_static"))
     mu_dynamic: PerMass = eqx.field(converter=_number("mu_dynamic"))
     v_ref: PerMass = eqx.field(converter=_number("v_ref"))
@@ -342,6 +353,7 @@ class GaussianStribeck(AbstractFrictionLaw):
     [1.0, 0.7839, 1.5]
     """
 
+    _continuous = True
     mu_static: PerMass = eqx.field(converter=_number("mu_static"))
     mu_dynamic: PerMass = eqx.field(converter=_number("mu_dynamic"))
     v_ref: PerMass = eqx.field(converter=_number("v_ref"))
@@ -378,6 +390,7 @@ class Coulomb(AbstractFrictionLaw):
     (0.5, 0.5)
     """
 
+    _continuous = True
     mu_dynamic: PerMass
 
     # Written out, because a type checker takes the abstract `mu_static` for a first argument.
@@ -394,6 +407,49 @@ class Coulomb(AbstractFrictionLaw):
 
     def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         return self.mu_dynamic * jnp.ones_like(speed)
+
+
+class StaticKinetic(AbstractFrictionLaw):
+    """mu = mu_s at rest and mu(s) = mu_k at every speed s > 0: the two numbers of the handbooks.
+
+    A sticking mass is let go where the force that holds it exceeds p mu_s; there friction falls at
+    once to p mu_k, so that the mass leaves with the acceleration p (mu_s - mu_k).  It sticks again
+    where it comes to rest on the belt with a force of at most p mu_s.  Between these two friction
+    only dissipates, so steady sliding is stable, beside a vibration that sticks and slips.
+
+    `TanhFriction` refuses it: a mass that creeps in a layer of any width never feels p mu_s.
+
+    Source: D. Karnopp, Computer simulation of stick-slip friction in mechanical dynamic systems,
+    Journal of Dynamic Systems, Measurement, and Control 107 (1985).
+
+    **Arguments:** `mu_static` = mu_s and `mu_kinetic` = mu_k, 0 <= mu_k <= mu_s.
+
+    **Raises:** `ValueError` for anything else.
+
+    !!! example
+
+        A block on a table is pulled through a spring whose end moves at the speed 1; it slips
+        after the time mu_s:
+
+        >>> import jax, jax.numpy as jnp
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain import Chain, StaticKinetic, StickTime, simulate
+        >>> law = StaticKinetic(mu_static=0.6, mu_kinetic=0.4)
+        >>> block = Chain(1, law, belt_speed=1.0, damping_ratio=0.0)
+        >>> start = jnp.zeros(1), jnp.ones(1)
+        >>> run = simulate(block, start, 2.0, observe=StickTime())
+        >>> print(run.observed.round(6))
+        [0.6]
+    """
+
+    mu_static: PerMass = eqx.field(converter=_number("mu_static"))
+    mu_kinetic: PerMass = eqx.field(converter=_number("mu_kinetic"))
+
+    def __check_init__(self) -> None:
+        _check_weakening(self)
+
+    def coefficient(self, speed: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
+        return self.mu_kinetic * jnp.ones_like(speed)
 
 
 def as_law(law: Any) -> AbstractFrictionLaw:
@@ -456,6 +512,15 @@ class TanhFriction(AbstractFriction):
     def __check_init__(self) -> None:
         check_per_mass(mu_static=self.law.mu_static, width=self.width)
         check_numbers({"width": self.width})
+        drop = self.law.drop()
+        falls = isinstance(self.law, StaticKinetic) if is_traced(drop) else drop is not None
+        if falls and (is_traced(drop) or np.any(drop > _JUMP * np.max(self.law.mu_static))):
+            raise ValueError(
+                "Argument `width` smooths friction around rest, but this law falls there from "
+                f"mu_static = {self.law.mu_static} to mu(0): a mass that creeps in the layer "
+                "never feels `mu_static`. Leave `width` out (dry friction), or take a law that "
+                "falls over a range of speeds, such as `ExponentialDecay`."
+            )
 
     def force(self, relative_velocity: Float[ArrayLike, "..."]) -> Float[Array, "..."]:
         """F(w) of a velocity w relative to the belt, of the same shape."""
@@ -496,8 +561,8 @@ def check_numbers(numbers: Mapping[str, Any]) -> None:
     for name, value in numbers.items():
         row = parameter(name)
         _SIGNS[row.sign](name, value, row.remedy)
-        if row.floor in numbers:
-            check_at_least(name, value, row.floor, numbers[row.floor], row.floor_remedy)
+        for floor in numbers.keys() & row.floors:
+            check_at_least(name, value, floor, numbers[floor], row.floor_remedy)
 
 
 def number_margins(numbers: Mapping[str, Any]) -> dict[str, Array]:
@@ -507,8 +572,8 @@ def number_margins(numbers: Mapping[str, Any]) -> dict[str, Array]:
         row = parameter(name)
         if (row.searched or row.sign) != "any":
             found[f"{name} = 0"] = value
-        if row.floor in numbers:
-            found[f"{name} = {row.floor}"] = value - numbers[row.floor]
+        for floor in numbers.keys() & row.floors:
+            found[f"{name} = {floor}"] = value - numbers[floor]
     return found
 
 
@@ -523,7 +588,7 @@ def friction_margins(friction: Any) -> dict[str, Array]:
 
 
 def _check_weakening(
-    law: ExponentialDecay | WeakeningStrengthening | GaussianStribeck,
+    law: ExponentialDecay | WeakeningStrengthening | GaussianStribeck | StaticKinetic,
 ) -> None:
     check_per_mass(**vars(law))
     check_numbers(vars(law))

@@ -468,13 +468,21 @@ class MechanicalCells(AbstractCells):
         """The unit is P sqrt(b_u / K_uu) with the greatest load P, cell by cell."""
         if self.friction is None:
             return None
+        return self.law, 1.0, self.belt_speed, self.natural_scales()[1]
+
+    def natural_scales(self) -> tuple[Any, Any, Any]:
+        """(1 / sqrt(b_u K_uu), P sqrt(b_u / K_uu), P) with the greatest load P."""
+        if self.friction is None:
+            return super().natural_scales()
         u = self.sliding
         matrix = self._matrix("stiffness")
         stiffness: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
+        stiffness = jnp.where(stiffness > 0, stiffness, 1.0)
         share: Any = self.compliance()[u]
-        nominal = jnp.max(self.normal_load)
-        unit = nominal * jnp.sqrt(jnp.max(share / jnp.where(stiffness > 0, stiffness, 1.0)))
-        return self.law, 1.0, self.belt_speed, unit
+        load = jnp.max(self.normal_load)
+        load = jnp.where(load > 0, load, 1.0)
+        time = 1.0 / jnp.sqrt(jnp.min(share * stiffness))
+        return time, load * jnp.sqrt(jnp.max(share / stiffness)), load
 
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""

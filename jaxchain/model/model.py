@@ -119,6 +119,10 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         for one mass P / sqrt(k m); the load is relative to P.
         """
 
+    def natural_scales(self) -> tuple[Any, Any, Any]:
+        """(time, velocity, force) that count as 1, for steps, tolerances and rounding."""
+        return 1.0, 1.0, 1.0
+
     def dependence(self, y: State) -> Dependence | None:
         """The variables on which each rate depends; None if that is not known."""
         del y

@@ -18,7 +18,7 @@ class Parameter(NamedTuple):
     `symbol` is LaTeX without dollars, empty if there is none; `meaning` is the description in
     scene files, and `remedy` the end of an error message.  `per` is "mass" or "spring" if it may
     be given for each; a `required` parameter must be given in a scene, others have a `default`.
-    `sign` and `floor`, the name of another parameter that it must not fall below, are its domain.
+    `sign` and `floors`, the names of others that it must not fall below, are its domain.
     Searches stay in this domain, and in `searched` where that is narrower: negative damping is a
     model of its own, but as the result of a fit a mistake.
     `usual` is its value in the paper, eq. (7).
@@ -34,7 +34,7 @@ class Parameter(NamedTuple):
     symbol: str = ""
     unit: str = "1"
     sign: Sign = "any"
-    floor: str = ""
+    floors: tuple[str, ...] = ()
     floor_remedy: str = ""
     searched: Sign | None = None
     per: Literal["chain", "mass", "spring"] = "mass"
@@ -99,12 +99,17 @@ _ROWS = (
 _FRICTION_ROWS = (
     Parameter(
         "mu_static", "static friction coefficient", r"\mu_{st}", sign="nonnegative",
-        required=True, usual=1.0, meaning="Friction at rest.", remedy=_MU, floor="mu_dynamic",
+        required=True, usual=1.0, meaning="Friction at rest.", remedy=_MU,
+        floors=("mu_dynamic", "mu_kinetic"),
         floor_remedy="friction at rest exceeds friction in motion; raise `mu_static`.",
     ),
     Parameter(
         "mu_dynamic", "dynamic friction coefficient", r"\mu_d", sign="nonnegative",
         required=True, usual=0.5, meaning="Friction at high speed.", remedy=_MU,
+    ),
+    Parameter(
+        "mu_kinetic", "kinetic friction coefficient", r"\mu_k", sign="nonnegative",
+        required=True, usual=0.5, meaning="Friction in motion, at every speed.", remedy=_MU,
     ),
     Parameter(
         "v_ref", "reference speed", r"\tilde v_0", SPEED, sign="positive", required=True,

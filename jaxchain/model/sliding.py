@@ -96,6 +96,8 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     (x, v) falls at the rate sum_n v_n^2 (2 xi_n - p_n F'(w_n)) > 0, with w_n between their
     relative velocities.  So every motion approaches steady sliding, at any belt speed.
 
+    A law whose friction falls at once at a release feeds energy into a mass there: never.
+
     F' = -mu'(s) tanh(s / eps) - mu(s) sech^2(s / eps) / eps, or -mu'(s) with dry friction (whose
     jump at w = 0 only adds damping), is bounded over each of the intervals between 1024 speeds s.
     This assumes that mu and mu' are monotone in each interval, as they are for every law of this
@@ -125,7 +127,9 @@ def damping_outweighs(chain: Chain) -> Bool[Array, ""]:
     damping = jnp.broadcast_to(2.0 * chain.damping_ratio, least.shape)
     load = jnp.broadcast_to(chain.load, least.shape)
     weakest = damping + load * change
-    return jnp.all(weakest > _ROUNDING * (damping + load * jnp.abs(least)))
+    outweighs = jnp.all(weakest > _ROUNDING * (damping + load * jnp.abs(least)))
+    drop = chain.law.drop()
+    return outweighs if drop is None else outweighs & jnp.all(drop <= 0)
 
 
 def stiffness_matrix(chain: Chain) -> Float[Array, "n n"]:

@@ -50,6 +50,7 @@ class TabulatedFriction(AbstractFrictionLaw):
     [1.0, 0.7, 0.6312, 0.6]
     """
 
+    _continuous = True
     pieces: Float[Array, "5 knots"]
     """For each s_i: s_i, and the cubic in s - s_i from there on, lowest coefficient first."""
 

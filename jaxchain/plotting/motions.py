@@ -324,7 +324,8 @@ def sticking(model: AbstractModel, states: Given[StateLike]) -> np.ndarray:
             f"Argument `states` has parts of shapes {' and '.join(str(a.shape) for a in parts)}, "
             f"but all must have one shape, (times, {model.n or 'n'})."
         )
-    rounding = RESOLUTION * (1.0 + jnp.abs(known.belt_speed)) if known.dry else 0.0
+    unit = known.natural_scales()[1]
+    rounding = RESOLUTION * (unit + jnp.abs(known.belt_speed)) if known.dry else 0.0
     limit = known.stick_speed() + rounding
 
     @eqx.filter_jit

@@ -67,6 +67,7 @@ LAWS = {
     "weakening_strengthening": friction.WeakeningStrengthening,
     "gaussian_stribeck": friction.GaussianStribeck,
     "coulomb": friction.Coulomb,
+    "static_kinetic": friction.StaticKinetic,
 }
 READY_MADE: dict[str, type[AbstractCells]] = {
     name: kind

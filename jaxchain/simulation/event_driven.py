@@ -149,17 +149,17 @@ def at_the_end(field: Dry, progress: Progress, t1: Any) -> State:
 def head_start(
     field: Dry, t: Any, state: State, modes: Modes, new: Modes, hits: Array, since: Array
 ) -> list[Array]:
-    """The velocities gained `since` their own events by masses that slide through w = 0.
+    """The velocities gained `since` their own events by masses that slide on from w = 0.
 
     If several events coincide, each is disturbed differently, and the step ends at their mean.
     The value is rounding, which is left out, so only the derivative remains.  A mass that starts
-    to stick, or is released, has no acceleration then.  The other displacements of its cell feel
-    the change of friction.
+    to stick has no acceleration then, nor has one that is released, unless friction falls.  The
+    other displacements of its cell feel the change of friction.
     """
     d, contact = len(state) // 2, field.contact
-    through = hits & (modes.direction != STICK) & (new.direction != STICK)
+    slides_on = hits & (new.direction != STICK)
     rate = motion(field, t, state, new.direction)[d:]
-    gains = [jnp.where(through, since * rate[contact - d], 0.0)] * d
+    gains = [jnp.where(slides_on, since * rate[contact - d], 0.0)] * d
     if d > 1:
         change = friction_at_rest(field, t, state, new.direction)
         change = since * (change - friction_at_rest(field, t, state, modes.direction))
@@ -373,8 +373,9 @@ class EventDrivenPlan(AbstractPlan):
         modes = memory.modes
         series = expand(field, t0, before, modes, self.order, memory.friction)
         left = end - t0
+        time, unit, _ = field.natural_scales()
         per_scale = [
-            1.0 / (self.atol + self.rtol * jnp.maximum(jnp.abs(x[0]), jnp.abs(v[0])))
+            1.0 / (self.atol * unit + self.rtol * jnp.maximum(jnp.abs(x[0]) / time, jnp.abs(v[0])))
             for x, v in constant(list(zip(series.x, series.v, strict=True)))
         ]
         bearable = constant(_step_length(self.order, series, per_scale))

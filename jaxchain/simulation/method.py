@@ -52,7 +52,8 @@ class Method(PrintedAsCall, eqx.Module):
     - `rtol`: the relative tolerance of a step, 1e-6, or less where friction changes its sign
       within a narrow width: width / [3 sqrt(min(n, 20)) (|v_d| + 0.1)].
     - `atol`: the absolute one, rtol / 10.
-    - `max_step`: the longest step, 0.5 (dimensionless time; a period is about 2 pi).
+    - `max_step`: the longest step, 0.5 (dimensionless time; a period is about 2 pi), of
+      `MechanicalCells` with friction times 1 / sqrt(k/m) of the contact.
     - `max_steps`: the greatest number of steps, accepted or rejected; without it no limit.
 
     **Raises:** `ValueError` for impossible numbers when a run begins; for tolerances on a velocity
@@ -105,7 +106,9 @@ class Method(PrintedAsCall, eqx.Module):
         elif scale == ():
             scale = model.smallest_scale(n)
         rtol = default_rtol(n, scale, solver) if self.rtol is None else self.rtol
-        max_step = MAX_STEP if self.max_step is None else self.max_step
+        max_step = self.max_step
+        if max_step is None:
+            max_step = MAX_STEP * model.natural_scales()[0]
         check_tolerances(rtol, self.atol, max_step)
         check_resolved(n, scale, rtol, self.atol, solver)
         check_count("max_steps", self.max_steps)

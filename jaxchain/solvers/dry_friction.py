@@ -3,7 +3,7 @@
 A mass sticks to the belt, slides forward (w = v - v_d > 0) or slides backward (w < 0):
 
     sliding   v' = r - sign(w) p mu(|w|),    until w = 0
-    sticking  v  = v_d,                      until |r| = p mu_st
+    sticking  v  = v_d,                      until |r| = p mu_st,   mu_st >= mu(0)
 
 with r = -2 xi v - k x + C x, the force on the mass without friction.  Where w reaches 0 the mass
 sticks if |r| <= p mu_st and slides on in the direction of r otherwise (Filippov's solution of the
@@ -49,6 +49,8 @@ RESOLUTION = 1e-13
 # Sticking friction exceeds p mu_st by this share, so that a mass that starts to stick exactly at
 # the limit is not released by rounding.
 _SLACK = 1e-13
+# A drop of friction at a release by less than this share is rounding.
+_LEAST_DROP = 1e-12
 
 
 def static_limit(chain: Dry) -> PerMass:
@@ -89,7 +91,8 @@ class Modes(eqx.Module):
     """The mode of every mass.
 
     `direction`: STICK, FORWARD or BACKWARD.  `contact`: the power of time with which w leaves 0: 0
-    if w is not 0, 1 after passing through w = 0, 2 after sticking.
+    if w is not 0, 1 after passing through w = 0, 2 after sticking; after sticking also 1 if
+    friction falls at the release.
     """
 
     direction: Float[Array, " n"]
@@ -250,10 +253,10 @@ def _free_series(
 
 def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     """The state, with masses near the belt speed set to it, and the modes of the masses."""
-    index, speed = chain.contact, chain.belt_speed
+    index, speed, (_, unit, _) = chain.contact, chain.belt_speed, chain.natural_scales()
     v = state[index]
     w = v - speed
-    touching = jnp.abs(w) <= RESOLUTION * (1.0 + jnp.abs(speed))
+    touching = jnp.abs(w) <= RESOLUTION * (unit + jnp.abs(speed))
     state = (*state[:index], jnp.where(touching, speed, v), *state[index + 1 :])
     resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
     free = chain.accelerations(t, state)
@@ -266,8 +269,14 @@ def _met(chain: Dry, free: Sequence[Array], modes: Modes, lands: Array, releases
     r = free[u] / chain.compliance()[u]
     sticks = lands & (jnp.abs(r) <= static_limit(chain))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
-    contact = jnp.where(lands, 1, jnp.where(releases, 2, modes.contact))
+    contact = jnp.where(lands, 1, jnp.where(releases, _released(chain.law), modes.contact))
     return Modes(jnp.where(sticks, STICK, direction), jnp.where(sticks, 0, contact))
+
+
+def _released(law: Any) -> Any:
+    """The `contact` of a mass that has just been released."""
+    drop = law.drop()
+    return 2 if drop is None else jnp.where(drop > _LEAST_DROP * law.mu_static, 1, 2)
 
 
 def after(
@@ -310,14 +319,14 @@ def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
     watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
-    hold = static_limit(chain)
-    speed = 1.0 + jnp.abs(chain.belt_speed)
+    hold, (_, unit, force) = static_limit(chain), chain.natural_scales()
+    speed = unit + jnp.abs(chain.belt_speed)
     return first_exit(
         watched,
         flatten(jnp.where(slides, 0.0, -hold)),
         flatten(jnp.where(slides, FAR, hold)),
         length,
-        RESOLUTION * jnp.where(slides, speed, 1.0 + hold),
+        RESOLUTION * jnp.where(slides, speed, force + hold),
     )
 
 
@@ -334,7 +343,8 @@ def _next_knot(chain: Dry, series: Series, modes: Modes, length: Array) -> Array
     slides = modes.direction != STICK
     lower = jnp.where(slides, below - 2.0 * ahead, -FAR)
     upper = jnp.where(slides, above + 2.0 * ahead, FAR)
-    until, _ = first_exit(w, lower, upper, length, RESOLUTION * (1.0 + w[0]))
+    unit = chain.natural_scales()[1]
+    until, _ = first_exit(w, lower, upper, length, RESOLUTION * (unit + w[0]))
     return until
 
 

@@ -24,6 +24,7 @@ from .._spelling import did_you_mean
 from ..model.chain import require_smoothed
 from ..model.entries import array_of
 from ..model.model import AbstractModel
+from ..model.parameters import parameter
 from ..simulation.dataset import Axes, columns_of, sizes
 from .lanes import initial_names
 
@@ -155,12 +156,13 @@ def extremes(axes: Axes, names: Sequence[str]) -> list[dict[str, Any]]:
     for dim, v in swept.values():
         ends = (np.argmin(v), np.argmax(v)) if v.ndim == 1 else (0, len(v) - 1)
         corners += [{dim: int(end)} for end in ends]
-    if {"mu_static", "mu_dynamic"} <= swept.keys():
-        (dim, static), (other, dynamic) = swept["mu_static"], swept["mu_dynamic"]
-        if dim == other:
-            corners.append({dim: int(np.argmin(static - dynamic))})
-        else:
-            corners.append({dim: int(np.argmin(static)), other: int(np.argmax(dynamic))})
+    for name, (dim, value) in swept.items():
+        for floor in swept.keys() & parameter(name).floors:
+            other, least = swept[floor]
+            if dim == other:
+                corners.append({dim: int(np.argmin(value - least))})
+            else:
+                corners.append({dim: int(np.argmin(value)), other: int(np.argmax(least))})
     different = {tuple(sorted(corner.items())): corner for corner in corners}
     return [
         {name: v[corner.get(dim, 0)] for name, (dim, v) in swept.items()}

@@ -8,19 +8,25 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.optimize import fsolve
+from scipy.optimize import brentq, fsolve
 from witnesses.cells import Events
 
 from jaxchain import (
+    Chain,
     Coulomb,
     ExponentialDecay,
+    SearchResult,
+    StaticKinetic,
     continue_cycle,
     continue_special,
     equation_8,
+    find_fold,
     find_limit_cycle,
+    hopf_belt_speed,
     paper_chain,
     simulate,
 )
+from jaxchain.basins import sliding_basin
 from jaxchain.boundaries import find_special_cycle
 from jaxchain.cycles import branches
 from jaxchain.model import MechanicalCells
@@ -95,6 +101,32 @@ def onset_gaps(z, force, omega):
     A[2, 3], A[3, 2] = -omega, omega
     y = expm(A * np.pi / omega) @ [z[0], 0.0, z[1], z[2], 1.0]
     return [y[0] + z[0], y[1], z[1] - z[0] + 1.0, np.hypot(z[1], z[2]) - force]
+
+
+def test_static_and_kinetic_friction_vibrate_up_to_where_a_release_just_returns_to_the_belt():
+    """By the matrix exponential from the release, x = mu_s - 2 xi v_d, v = v_d."""
+    mu_s, mu_k, xi = 1.1, 0.5, 0.05
+    chain = Chain(1, StaticKinetic(mu_s, mu_k), 0.3, xi)
+    A = np.array([[0.0, 1.0], [-1.0, -2 * xi]])
+
+    def after(t, speed):  # x - mu_k and v
+        return expm(A * t) @ [mu_s - 2 * xi * speed - mu_k, speed]
+
+    # v = v_d and v' = 0 again.
+    def grazes(z):
+        return after(z[1], z[0])[1] - z[0], A[1] @ after(z[1], z[0])
+
+    at: Any = fsolve(grazes, (0.66, 5.8))
+    branch = continue_cycle(find_limit_cycle(chain))
+    fold, *_ = branch.special
+    assert fold.kind == "fold"
+    assert fold.parameter == pytest.approx(at[0], abs=1e-10)
+    slip = brentq(lambda t: after(t, 0.3)[1] - 0.3, 3.0, 5.5, xtol=1e-14)
+    stuck = (mu_s - mu_k - 2 * xi * 0.3 - after(slip, 0.3)[0]) / 0.3
+    assert float(branch.period[0]) == pytest.approx(slip + stuck, abs=1e-9)
+    assert find_fold(chain).result == SearchResult.drops
+    assert sliding_basin(chain).result == SearchResult.drops
+    assert np.isnan(hopf_belt_speed(chain))  # sliding is stable at every speed
 
 
 @pytest.mark.long

@@ -11,6 +11,7 @@ from jaxchain.model.friction import (
     Coulomb,
     ExponentialDecay,
     GaussianStribeck,
+    StaticKinetic,
     TanhFriction,
     WeakeningStrengthening,
 )
@@ -143,6 +144,31 @@ def test_numbers_that_do_not_fit_together_are_refused():
         ExponentialDecay(jnp.ones(3), jnp.full(2, 0.5), 0.5)
     with pytest.raises(ValueError, match="agree in length"):
         TanhFriction(Coulomb(jnp.full(3, 0.5)), jnp.full(2, 1e-3))
+
+
+def test_friction_at_rest_may_exceed_mu_0_of_a_dry_law_only():
+    law: Any = StaticKinetic(0.6, 0.4)
+    np.testing.assert_array_equal(law.coefficient(SPEEDS), 0.4)
+    np.testing.assert_array_equal(law.force(jnp.array([-0.1, 0.0, 0.1])), [0.4, 0.0, -0.4])
+    assert float(law.drop()) == pytest.approx(0.2)
+    assert paper_law().drop() is None
+    falls: Any = Held(0.6, 0.5)
+    assert float(falls.drop()) == pytest.approx(0.1)
+    for one in (law, falls):
+        with pytest.raises(ValueError, match=r"`width`.*falls there from mu_static = 0\.6.*dry"):
+            one.with_(width=1e-3)
+    with pytest.raises(ValueError, match="`width` smooths"):
+        jax.jit(lambda mu: law.with_(width=1e-3, mu_static=mu).width)(0.7)
+    with pytest.raises(ValueError, match=r"rises at the speed 0.*raise `mu_static`"):
+        Held(0.4, 0.5)
+
+
+class Held(AbstractFrictionLaw):
+    mu_static: float
+    mu_0: float
+
+    def coefficient(self, speed: Any) -> Any:
+        return self.mu_0 / (1.0 + speed)
 
 
 class Rational(AbstractFrictionLaw):

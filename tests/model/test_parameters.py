@@ -26,9 +26,16 @@ LAW = friction.AbstractFrictionLaw
 USUAL = {name: row.usual or 0.1 for name, row in PARAMETERS.items()}
 
 
+SMOOTHED = {name: row for name, row in PARAMETERS.items() if name != "mu_kinetic"}
+LAWS_OWN = [name for name in SMOOTHED if name in FRICTION and name != "width"]
+
+
 def chain_of(**changes):
-    law = WeakeningStrengthening(**{k: USUAL[k] for k in FRICTION if k != "width"})
     own: dict = {name: USUAL[name] for name in CHAIN}
+    if "mu_kinetic" in changes:  # which no smoothed law has
+        law = friction.StaticKinetic(1.0, 0.5)
+        return Chain(N, law, **own).with_(**changes)
+    law = WeakeningStrengthening(**{k: USUAL[k] for k in LAWS_OWN})
     return Chain(N, TanhFriction(law, USUAL["width"]), **own).with_(**changes)
 
 
@@ -51,10 +58,10 @@ def test_every_number_of_a_shipped_law_stands_in_the_table_and_every_row_is_one(
 
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_every_number_is_changed_by_its_name(name):
-    chain = chain_of()
+    chain = chain_of(**{name: USUAL[name]})
     changed = chain.with_(**{name: 0.9 * USUAL[name]})
     assert {k for k, v in changed.parameters().items() if v != chain.parameters()[k]} == {name}
-    assert set(changed.parameters()) == set(PARAMETERS)
+    assert set(chain_of().parameters()) == set(SMOOTHED)
 
 
 @pytest.mark.parametrize("row", PARAMETERS.values(), ids=PARAMETERS)
@@ -87,7 +94,12 @@ def test_every_number_is_a_key_of_scenes():
     parts = schema()["$defs"]
     table = parts["ChainTable"]
     assert set(table["properties"]) == {"n", "friction", "ends", *CHAIN}
-    assert set(parts["WeakeningStrengtheningTable"]["properties"]) == {"law", *FRICTION}
+    assert set(parts["WeakeningStrengtheningTable"]["properties"]) == {
+        *("law", "width"), *LAWS_OWN,
+    }  # fmt: skip
+    assert set(parts["StaticKineticTable"]["properties"]) == {
+        *("law", "width", "mu_static", "mu_kinetic")
+    }
     assert set(parts["CoulombTable"]["properties"]) == {"law", "width", "mu_dynamic"}
     for row in CHAIN.values():
         told = table["properties"][row.name]["description"]
@@ -102,12 +114,12 @@ def test_every_number_is_a_key_of_scenes():
 
 def test_every_number_may_be_swept_and_has_words_and_a_unit_in_the_dataset():
     chain = chain_of()
-    over = {name: [USUAL[name]] for name in PARAMETERS} | {"belt_speed": [1.4, 1.5]}
+    over = {name: [USUAL[name]] for name in SMOOTHED} | {"belt_speed": [1.4, 1.5]}
     data = sweep(chain, steady_sliding(chain), 0.0, over=over, rtol=1e-6)
-    for name, row in PARAMETERS.items():
+    for name, row in SMOOTHED.items():
         assert data[name].attrs == {"long_name": row.long_name, "units": row.unit}
     parameters = json.loads(data.attrs["parameters"])
-    assert {name for name, value in parameters.items() if value == "swept"} == set(PARAMETERS)
+    assert {name for name, value in parameters.items() if value == "swept"} == set(SMOOTHED)
     assert data["belt_speed"].attrs == {"long_name": "belt speed v_d", "units": "x0 omega_n"}
     assert data["mu_static"].attrs["units"] == "1"
 

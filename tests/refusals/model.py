@@ -125,6 +125,8 @@ def _laws() -> Iterator[Row]:
     for name in ("GaussianStribeck", "WeakeningStrengthening"):
         yield row(name, {**numbers, "mu_viscous": 0.1}, **bad, mu_viscous=PER_MASS_0)
     yield row("Coulomb", {"mu_dynamic": 0.5}, mu_dynamic=PER_MASS_0)
+    both = {"mu_static": 0.6, "mu_kinetic": 0.5}
+    yield row("StaticKinetic", both, mu_static=(*PER_MASS_0, 0.4), mu_kinetic=PER_MASS_0)
     yield row("TanhFriction", {"law": LAW, "width": 1e-3}, law=(*NO_LAW, 1), width=PER_MASS)
     yield row(
         "TabulatedFriction", {"speed": [0.0, 1.0], "mu": [1.0, 0.5]},

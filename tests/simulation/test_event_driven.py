@@ -19,6 +19,7 @@ from jaxchain import (
     PeakTimes,
     Samples,
     Section,
+    StaticKinetic,
     StickTime,
     TanhFriction,
     Trajectory,
@@ -136,6 +137,65 @@ def test_coulomb_friction_stops_a_mass_where_it_must():
     x, v, _ = coulomb(0.73, 0.0, 0.1, 30.0)
     assert abs(x + 0.07) < 1e-12
     assert v == 0.0
+
+
+def dragged(length: float, time: float) -> tuple[MechanicalCells, float, float]:
+    """(10 x'' = 4000 (.01 t - x) - friction, in the frame of .01 t; first slip, its length), SI.
+
+    A spring pulls a block of 98.1 N over a table, mu = .3 / .2; in other units of length and time.
+    """
+    speed, load = 0.01 * time / length, 98.1 * time**2 / length
+    block = MechanicalCells(
+        4000.0 * time**2, 10.0, friction=StaticKinetic(0.3, 0.2), belt_speed=-speed,
+        normal_load=load,
+    )  # fmt: skip
+    # It turns round by pi and by what leads from the drop to the greatest elongation, twice.
+    slip = 2 / 20 * (np.pi - np.arctan(0.1 * 98.1 * 20 / (4000 * 0.01)))
+    return block, 0.3 * 98.1 / (4000 * 0.01) / time, slip / time
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-6, 1e6])
+@pytest.mark.parametrize("time", [1.0, 1e-6, 1e6])
+def test_a_block_that_is_dragged_sticks_and_slips_in_any_units(length, time):
+    block, first, slip = dragged(length, time)
+    start = jnp.zeros(1), jnp.full(1, block.belt_speed)
+    t1 = first + 2.5 * slip
+    watch = StickTime(), Trajectory(jnp.array([first + slip, t1]))
+    done = simulate(block, start, t1, rtol=1e-12, observe=watch)
+    stuck, (landing, _) = done.observed[0][0], done.observed[1][0]
+    assert float((t1 - stuck) / slip) == pytest.approx(1.0, abs=1e-10)
+    # As far ahead of its rest as it was behind.
+    rest = -0.2 * 98.1 / 4000 / length
+    assert float((landing[0] - rest) / rest) == pytest.approx(-0.5, abs=1e-10)
+    assert int(done.steps) <= 60
+
+
+def test_derivatives_pass_through_releases_at_which_friction_falls():
+    """Of three masses, forward and in reverse, and of masses that are let go together."""
+    apart = (jnp.array([0.5, -0.2, 1.0]), jnp.array([0.1, 0.25, 0.0])), 0.1
+    together = (jnp.full(3, 0.2), jnp.full(3, 0.1)), 0.0
+
+    @jax.jit
+    def end(numbers, start, coupling):
+        law = StaticKinetic(numbers[0], numbers[1])
+        stiffness = jnp.array([1.0, 1.0 + coupling, 1.0 - coupling])
+        chain = Chain(3, law, numbers[2], 0.05, coupling=coupling, stiffness=stiffness)
+        moved = start[0].at[0].add(numbers[3]), start[1]
+        return jnp.concatenate(run(chain, moved, 20.0, order=12).state)
+
+    numbers = jnp.array([1.1, 0.5, 0.3, 0.0])
+    for start, coupling in (apart, together):
+        slopes = jax.jacfwd(end)(numbers, start, coupling)
+        for i, side in enumerate(1e-6 * np.eye(4)):
+            ends = [end(numbers + s * side, start, coupling) for s in (1, -1)]
+            np.testing.assert_allclose(slopes[:, i], (ends[0] - ends[1]) / 2e-6, atol=1e-7)
+    one = Chain(1, StaticKinetic(1.1, 0.5), 0.3, 0.05)
+
+    def last(mu):
+        return run(one.with_(mu_static=mu), (jnp.zeros(1), jnp.full(1, 0.3)), 12.0).state[0][0]
+
+    back = float(jax.grad(last)(1.1))
+    assert back == pytest.approx(float(last(1.1 + 1e-6) - last(1.1 - 1e-6)) / 2e-6, abs=1e-7)
 
 
 def test_a_short_touch_is_not_missed():
