@@ -52,7 +52,15 @@ from ..observers.section import AbstractSection
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_friction import RESOLUTION, STICK, Dry, free_force, motion, rates
+from ..solvers.dry_friction import (
+    RESOLUTION,
+    STICK,
+    Dry,
+    motion,
+    rates,
+    scaled_force,
+    slip_speed,
+)
 from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
 from .floquet import forcing_periods_of, multiplier_resolution, scaled_peak_velocity
@@ -211,9 +219,9 @@ class Phases(AbstractOrbit, eqx.Module):
         """(`residual`, (margins, error))."""
         field, state, period = self.unpack(u, *parameter)
         durations, d = u[-len(self.events) :], self.m * self.n
-        index, limit = field.contact, jnp.broadcast_to(field.static_limit(), (self.n,))
+        limit = jnp.broadcast_to(field.static_limit(), (self.n,))
         modes = jnp.asarray(self.modes, float)
-        scale = 1.0 + jnp.abs(field.belt_speed)
+        scale = 1.0 + jnp.abs(field.belt_speed_at(0.0))
         begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
 
         def parts(z: Array) -> tuple[Array, State]:
@@ -227,7 +235,7 @@ class Phases(AbstractOrbit, eqx.Module):
 
             def contact(z: Array) -> tuple[Array, Array]:
                 t, y = parts(z)
-                return y[index] - field.belt_speed, free_force(field, t, y)
+                return slip_speed(field, t, y), scaled_force(field, t, y)
 
             def near(z: Array) -> Array:
                 """How far each mass is from an event, in shares; the event is at 0."""
@@ -342,7 +350,9 @@ class Phases(AbstractOrbit, eqx.Module):
         rho = jnp.nan * period
         if self.slips and parameter:
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
-            cut = jax.jacfwd(lambda z: z[j] - self.unpack(u, *z[u.size :])[0].belt_speed)(z)
+            cut = jax.jacfwd(lambda z: z[j] - self.unpack(u, *z[u.size :])[0].belt_speed_at(0.0))(
+                z
+            )
             square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
             right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0)
             right = right.at[1, j].set(1.0 / self._scale(u))
@@ -559,9 +569,9 @@ class Cuts(AbstractSection):
 
 def slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
     """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
-    mu = model.law.coefficient(jnp.abs(y[model.contact] - model.belt_speed))
+    mu = model.law.coefficient(jnp.abs(slip_speed(model, t, y)))
     free, backward = model.accelerations(t, y), -model.belt_direction()
-    return rates(model, free, mu, backward)[model.contact - len(free)]
+    return rates(model, t, y, free, mu, backward)[model.contact - len(free)]
 
 
 class DryRun(eqx.Module):
@@ -663,10 +673,10 @@ def phases_of(
     )
     samples = [np.asarray(part)[:-1] for part in run.observed]
     unit = float(chain.natural_scales()[1])
-    still = 10 * RESOLUTION * (unit + abs(float(chain.belt_speed)))
-    w = samples[chain.contact] - float(chain.belt_speed)
+    still = 10 * RESOLUTION * (unit + abs(float(chain.belt_speed_at(0.0))))
+    w = np.asarray(jax.vmap(lambda t, *y: slip_speed(chain, t, y))(times[:-1], *samples))
     modes = np.where(np.abs(w) <= still, STICK, np.sign(w))
-    r = np.asarray(jax.vmap(lambda t, *y: free_force(chain, t, y))(times[:-1], *samples))
+    r = np.asarray(jax.vmap(lambda t, *y: scaled_force(chain, t, y))(times[:-1], *samples))
     events = []
     for k, i in np.argwhere(modes != np.roll(modes, 1, axis=0)).tolist():
         released = modes[k - 1, i] == STICK

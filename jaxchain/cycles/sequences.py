@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from ..continuation.branch import SpecialPoint
 from ..kinds.changes import Change
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_friction import STICK, free_force, motion
+from ..solvers.dry_friction import STICK, motion, scaled_force, slip_speed
 from .orbit import Start
 from .phases import Phases, phases_from, phases_of
 
@@ -107,7 +107,8 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
     field, state, _ = orbit.unpack(u, p)
     d, k, n = orbit.m * orbit.n, len(orbit.events), orbit.n
     begin = u[d] if orbit.forcing_periods is not None else jnp.zeros(())
-    limit, scale = jnp.broadcast_to(field.static_limit(), (n,)), 1 + jnp.abs(field.belt_speed)
+    limit = jnp.broadcast_to(field.static_limit(), (n,))
+    scale = 1 + jnp.abs(field.belt_speed_at(0.0))
 
     def phase(z: Array, given: tuple[Array, Array]) -> tuple[Array, _Along]:
         mode, duration = given
@@ -118,7 +119,7 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
 
         def seen(z: Array) -> _Along:
             y = tuple(jnp.split(z[1:], orbit.m))
-            w, r = y[field.contact] - field.belt_speed, free_force(field, z[0], y)
+            w, r = slip_speed(field, z[0], y), scaled_force(field, z[0], y)
             near = jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
             return _Along(z, near, r)
 

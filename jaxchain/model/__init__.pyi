@@ -2,6 +2,7 @@ from .cells import AbstractCells as AbstractCells
 from .chain import Chain as Chain
 from .chain import paper_chain as paper_chain
 from .chain import steady_sliding as steady_sliding
+from .drives import Table as Table
 from .friction import AbstractFrictionLaw as AbstractFrictionLaw
 from .friction import Coulomb as Coulomb
 from .friction import ExponentialDecay as ExponentialDecay

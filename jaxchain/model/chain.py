@@ -244,6 +244,18 @@ class Chain(AbstractOscillators):
         """p: one number or one per mass, 1 where none is given."""
         return jnp.ones(()) if self.normal_load is None else self.normal_load
 
+    moving_belt = varying_load = False
+
+    def belt_speed_at(self, t: Any) -> Any:
+        """v_d, which does not change."""
+        del t
+        return self.belt_speed
+
+    def load_at(self, t: Any, y: State) -> Any:
+        """p, which does not change."""
+        del t, y
+        return self.load
+
     def parameter(self, name: str) -> Parameter:
         """Words, symbol, unit and domain; of a parameter of your own law the name alone."""
         return parameter(name)

@@ -35,6 +35,7 @@ from .._final import final
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractCells
+from .drives import OfTime, takes_state
 from .friction import AbstractFriction, AbstractFrictionLaw, TanhFriction, as_law
 from .parameters import Parameter
 from .springs import Ends
@@ -60,6 +61,18 @@ def _forces(name: str) -> Callable[[Any], Any]:
         check_kind(name, function, Callable | None, wanted)
         known = isinstance(function, eqx.Module | jtu.Partial | None)
         return function if known else _with_closure(function)
+
+    return convert
+
+
+def _drive(name: str) -> Callable[[Any], Any]:
+    """The converter of a number, an array, or a function of time, which becomes a pytree."""
+
+    def convert(value: Any) -> Any:
+        if not callable(value):
+            return optional(name)(value)
+        function = _forces(name)(value)
+        return function if name != "normal_load" or takes_state(value) else OfTime(function)
 
     return convert
 
@@ -148,8 +161,7 @@ class MechanicalCells(AbstractCells):
         sliding   M q'' = h - p mu(|w|) sign(w) e_u,     w = u' - v_d,
         sticking  u'' = 0,    while |r| <= p mu_st,      r = e_u M^{-1} h / (e_u M^{-1} e_u),
 
-    h being all other forces and r the force that holds the mass.  Branches of cycles need smoothed
-    friction.
+    h being all other forces and r the force that holds the mass.
 
     **Arguments** (dimensionless, or of any system of units):
 
@@ -163,6 +175,10 @@ class MechanicalCells(AbstractCells):
     - `friction`: a law of `jaxchain.model` for dry friction, or `TanhFriction`; `belt_speed` = v_d
       and `normal_load` = p >= 0; `sliding`, which displacement slides, counted from 0.
     - `force` = f, one number or shape (d,); `frequency` = omega > 0.
+    - Instead of a number `force` may be a function of t (or a `Table`) that returns one force or d
+      of them, without the cosine; `belt_speed` a function of t; `normal_load` one of t, or of (t,
+      q, v), the tuples of displacements and velocities: where it is negative the contact has
+      lifted off.  With `frequency` these have the period 2 pi / omega, which cycles need.
     - `plus`: parameters that multiply further matrices, by name.  `plus={"friction": Kf}` makes
       K + friction Kf of the stiffness K; `plus={"friction": {"stiffness": Kf, "damping": Df}}`
       adds to several of the four matrices, whose shapes Kf and Df may have.  Each parameter is 0
@@ -215,9 +231,9 @@ class MechanicalCells(AbstractCells):
         converter=_forces("local_force"), default=None
     )
     friction: AbstractFriction | None = eqx.field(converter=_friction, default=None)
-    belt_speed: Array = eqx.field(converter=named("belt_speed"), default=0.0)
-    normal_load: PerMass = eqx.field(converter=named("normal_load"), default=1.0)
-    force: Array | None = eqx.field(converter=optional("force"), default=None)
+    belt_speed: Any = eqx.field(converter=_drive("belt_speed"), default=0.0)
+    normal_load: Any = eqx.field(converter=_drive("normal_load"), default=1.0)
+    force: Any = eqx.field(converter=_drive("force"), default=None)
     frequency: Array | None = eqx.field(converter=optional("frequency"), default=None)
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
@@ -237,7 +253,8 @@ class MechanicalCells(AbstractCells):
             matrices = [getattr(self, name) for name in _MATRICES]
             counts = [np.shape(a)[0] for a in matrices if a is not None and np.ndim(a) == 3]
             friction = self.friction if isinstance(self.friction, AbstractFriction) else None
-            each = [self.normal_load, *(friction.parameters().values() if friction else ())]
+            each = [*(friction.parameters().values() if friction else ())]
+            each += [] if callable(self.normal_load) else [self.normal_load]
             self.n = max(
                 [*counts, *(np.shape(a)[0] for a in each if np.ndim(a) == 1)], default=None
             )
@@ -277,26 +294,35 @@ class MechanicalCells(AbstractCells):
                     f"{whole.tolist() if whole.size < 10 else shown(whole)}: "
                     "a displacement without mass has no rate."
                 )
-        check_number("belt_speed", self.belt_speed)
-        check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
+        per_cell = {}
+        if not callable(self.belt_speed):
+            check_number("belt_speed", self.belt_speed)
+        if not callable(self.normal_load):
+            check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
+            per_cell["normal_load"] = self.normal_load
+        self._check_drives()
         if self.friction is not None:
             wanted = "None, a friction law (dry friction) or `TanhFriction(law, width)`"
             check_kind("friction", self.friction, AbstractFriction, wanted)
-        if (self.force is None) != (self.frequency is None):
+        force: Any = self.force
+        waves = force is not None and not callable(force)  # f cos(omega t)
+        driven = waves or any(map(callable, (force, self.normal_load, self.belt_speed)))
+        given = self.frequency is not None
+        if (waves and not given) or (given and not driven):
             raise ValueError(
                 "Arguments `force` and `frequency` belong together, but are "
                 f"{shown(self.force)} and {shown(self.frequency)}: give both or neither."
             )
-        if self.force is not None:
-            check_finite("force", self.force)
+        if self.frequency is not None:
             check_positive("frequency", self.frequency)
             check_number("frequency", self.frequency)
-            if self.force.shape not in ((), (d,)):
+        if waves:
+            check_finite("force", force)
+            if np.shape(force) not in ((), (d,)):
                 raise ValueError(
                     f"Argument `force` must be one number or of shape ({d},), but has shape "
-                    f"{self.force.shape}."
+                    f"{np.shape(force)}."
                 )
-        per_cell = {"normal_load": self.normal_load}
         if self.friction is not None:
             per_cell |= self.friction.parameters()
         for name, value in self._all_matrices().items():
@@ -322,6 +348,31 @@ class MechanicalCells(AbstractCells):
                 f"returns {[str(f) for f in rest]}: springs beyond free ends exert no force."
             )
 
+    def _check_drives(self) -> None:
+        """Raises `ValueError` for a function of time that returns something else than forces."""
+        zero, rest = jnp.zeros(()), (jnp.zeros(self.n or 1),) * (2 * self.d)
+        calls = {
+            "belt_speed": lambda: self.belt_speed_at(zero),
+            "normal_load": lambda: self.load_at(zero, rest),
+            "force": lambda: self._drive_at(zero),
+        }
+        for name, call in calls.items():
+            if not callable(getattr(self, name)):
+                continue
+            try:
+                found = jax.eval_shape(call)
+                good = name == "force" or found.shape in ((), (self.n or 1,))
+            except (TypeError, ValueError, IndexError) as error:
+                found, good = error, False
+            if not good:
+                wanted = {
+                    "belt_speed": "a function (t) that returns one speed",
+                    "normal_load": "a function (t) or (t, q, v) that returns one load, or one for "
+                    "each cell",
+                    "force": f"a function (t) that returns one force, or {self.d}",
+                }[name]
+                raise ValueError(f"Argument `{name}` must be {wanted}, but gives {shown(found)}.")
+
     def _check_law(self, name: str, law: Any, arguments: str, *parts: Parts) -> None:
         """Raises `ValueError` unless the law returns a force for each displacement."""
         if law is None:
@@ -341,7 +392,7 @@ class MechanicalCells(AbstractCells):
 
     def _check_change(self, name: str, number: Array) -> None:
         """One number in the place of several would act on all displacements, unnoticed."""
-        shape = vars(self)[name].shape if name in _OF_DISPLACEMENTS else ()
+        shape = np.shape(vars(self)[name]) if name in _OF_DISPLACEMENTS else ()
         if shape and self.d > 1 and not number.shape:
             entry = ", ".join("0" for _ in shape)
             raise ValueError(
@@ -419,9 +470,41 @@ class MechanicalCells(AbstractCells):
         return friction.law
 
     @property
-    def load(self) -> PerMass:
-        """p, as a `Chain` calls it."""
-        return self.normal_load
+    def moving_belt(self) -> bool:
+        """Whether the belt's speed is a function of time."""
+        return callable(self.belt_speed)
+
+    @property
+    def varying_load(self) -> bool:
+        """Whether the load is a function of time or of the state."""
+        return callable(self.normal_load)
+
+    def belt_speed_at(self, t: Any) -> Any:
+        """v_d."""
+        speed = self.belt_speed
+        return speed(t) if callable(speed) else speed
+
+    def load_at(self, t: Any, y: State) -> Any:
+        """p, at least 0: where a function is negative the contact has lifted off."""
+        load = self.normal_load
+        if not callable(load):
+            return load
+        pressed: Any = load(t, y[: self.d], y[self.d :])
+        return jnp.maximum(pressed, 0.0)
+
+    def _drive_at(self, t: Any) -> list[Any]:
+        """The d external forces."""
+        force: Any = self.force
+        if not callable(force):
+            frequency: Any = self.frequency  # belongs to `force`
+            wave = jnp.cos(frequency * t)
+            return [f * wave for f in jnp.broadcast_to(force, (self.d,))]
+        forces: Any = force(t)
+        if not isinstance(forces, tuple | list):
+            forces = [*forces] if jnp.ndim(forces) else [forces] * self.d
+        if len(forces) != self.d:
+            raise ValueError(f"{len(forces)} forces on {self.d} displacements")
+        return [*forces]
 
     def parameter(self, name: str) -> Parameter:
         """The name, and the domain: a mass is positive, and a load not negative."""
@@ -430,8 +513,9 @@ class MechanicalCells(AbstractCells):
         return row._replace(sign=signs.get(name, row.sign))
 
     def static_limit(self) -> PerMass:
-        """p mu_st, the greatest friction force on a sticking mass."""
-        return self.normal_load * self.law.mu_static
+        """p mu_st, the greatest friction on a sticking mass; at t = 0 and rest if p varies."""
+        rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
+        return self.load_at(jnp.zeros(()), rest) * self.law.mu_static
 
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
@@ -440,11 +524,11 @@ class MechanicalCells(AbstractCells):
         if self.friction is None:
             return None
         width = self.friction.width if isinstance(self.friction, TanhFriction) else to_float(0.0)
-        return v - self.belt_speed, width
+        return v - self.belt_speed_at(t), width
 
     def belt_direction(self) -> ScalarLike:
         """The sign of v_d; 1 for v_d = 0."""
-        return jnp.where(self.belt_speed < 0, -1.0, 1.0)
+        return jnp.where(self.belt_speed_at(jnp.zeros(())) < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass | None:
         """The speed of greatest friction, 0 if it is dry; None without friction."""
@@ -455,7 +539,8 @@ class MechanicalCells(AbstractCells):
         if not isinstance(self.friction, TanhFriction):
             return super().excess_force(t, left, own, right)
         free, share = self.free_acceleration(t, left, own, right), self.compliance()
-        return jnp.abs(free[self.sliding] / share[self.sliding]) - self.static_limit()
+        limit = self.load_at(t, own) * self.law.mu_static
+        return jnp.abs(free[self.sliding] / share[self.sliding]) - limit
 
     def release_acceleration(self) -> PerMass | None:
         """p mu_st times its share b_u of the contact; None without smoothed friction."""
@@ -468,7 +553,7 @@ class MechanicalCells(AbstractCells):
         """The unit is P sqrt(b_u / K_uu) with the greatest load P, cell by cell."""
         if self.friction is None:
             return None
-        return self.law, 1.0, self.belt_speed, self.natural_scales()[1]
+        return self.law, 1.0, self.belt_speed_at(jnp.zeros(())), self.natural_scales()[1]
 
     def natural_scales(self) -> tuple[Any, Any, Any]:
         """(1 / sqrt(b_u K_uu), P sqrt(b_u / K_uu), P) with the greatest load P."""
@@ -479,7 +564,7 @@ class MechanicalCells(AbstractCells):
         stiffness: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
         stiffness = jnp.where(stiffness > 0, stiffness, 1.0)
         share: Any = self.compliance()[u]
-        load = jnp.max(self.normal_load)
+        load = 0.0 if self.varying_load else jnp.max(self.normal_load)
         load = jnp.where(load > 0, load, 1.0)
         time = 1.0 / jnp.sqrt(jnp.min(share * stiffness))
         return time, load * jnp.sqrt(jnp.max(share / stiffness)), load
@@ -530,15 +615,14 @@ class MechanicalCells(AbstractCells):
         if self.local_force is not None:
             add(self.local_force(q, v))
         if self.force is not None:
-            frequency: Any = self.frequency  # belongs to `force`
-            wave = jnp.cos(frequency * t)
-            add([f * wave for f in jnp.broadcast_to(self.force, (d,))])
+            add(self._drive_at(t))
         return tuple(_solve(self._matrix("mass"), forces))
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)
         if self.friction is not None:
-            friction = self.normal_load * self.friction.force(v[self.sliding] - self.belt_speed)
+            w = v[self.sliding] - self.belt_speed_at(t)
+            friction = self.load_at(t, own) * self.friction.force(w)
             accelerations = tuple(
                 a if share is None else a + share * friction
                 for a, share in zip(accelerations, self.compliance(), strict=True)

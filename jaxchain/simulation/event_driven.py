@@ -46,6 +46,7 @@ from ..solvers.dry_friction import (
     motion,
     next_event,
     rates,
+    slip_speed,
     start,
     static_limit,
 )
@@ -120,7 +121,11 @@ def shifts(field: Dry, series: Series, modes: Modes, t: Array, hits: Array) -> t
     def excess(t: Array) -> tuple[Array, Array]:
         w, acceleration = value_and_slope(series.w, t)
         r, drift = value_and_slope(series.r, t)
-        gap = r - jnp.sign(r) * static_limit(field)
+        if series.hold is None:
+            gap = r - jnp.sign(r) * static_limit(field, 0.0, ())
+        else:
+            limit, rise = value_and_slope(series.hold, t)
+            gap, drift = r - jnp.sign(r) * limit, drift - jnp.sign(r) * rise
         return jnp.where(slides, w, gap), jnp.where(slides, acceleration, drift)
 
     gap, rate = excess(t)
@@ -248,10 +253,9 @@ class _StoredMotion(eqx.Module):
     friction: list[Array]  # values at the present speeds, see `friction_coefficient`
 
 
-def _friction(dry: Dry, state: State, modes: Modes) -> list[Array]:
-    v = state[dry.contact]
-    _, known = friction_coefficient(dry, v, modes.direction, v - dry.belt_speed)
-    return known
+def _friction(dry: Dry, t: Any, state: State, modes: Modes) -> list[Array]:
+    w = slip_speed(dry, t, state)
+    return friction_coefficient(dry, w, modes.direction, w)[1]
 
 
 class EventDrivenPlan(AbstractPlan):
@@ -270,7 +274,7 @@ class EventDrivenPlan(AbstractPlan):
     def begin(self, field: AbstractModel, initial: State, t0: Any, t1: Any) -> Progress:
         dry = _dry(field)
         state, modes = start(dry, t0, initial)
-        known = _friction(dry, state, modes)
+        known = _friction(dry, t0, state, modes)
         return Progress(
             t=to_float(t0),
             state=state,
@@ -284,7 +288,7 @@ class EventDrivenPlan(AbstractPlan):
     def moved(self, field: AbstractModel, progress: Progress, state: State, t1: Any) -> Progress:
         del t1
         memory = progress.memory
-        known = _friction(_dry(field), state, memory.modes)
+        known = _friction(_dry(field), progress.t, state, memory.modes)
         memory = dataclasses.replace(memory, friction=known)
         return dataclasses.replace(progress, state=state, memory=memory)
 
@@ -390,7 +394,7 @@ class EventDrivenPlan(AbstractPlan):
         of_events, shift = shifts(field, series, modes, lengths, hits)
         length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         # Each is computed once: see `materialize`.
-        d, contact = len(series.x), field.contact
+        d = len(series.x)
         x = [materialize(value(part, lengths), flat=True) for part in series.x]
         v, slopes = zip(*[value_and_slope(part, lengths) for part in series.v], strict=True)
         v = [materialize(part, flat=True) for part in v]
@@ -402,9 +406,10 @@ class EventDrivenPlan(AbstractPlan):
         # The truncated series errs by v_{p+1} h^{p+1}, its derivative by (p + 1) v_{p+1} h^p.  So
         # h / (p + 1) times the difference from the rate at the end is the error of the step, and
         # far greater if the series at its start does not know what follows.
-        mu, known = friction_coefficient(field, state[contact], new.direction, series.w[0])
+        w = slip_speed(field, t1, state)
+        mu, known = friction_coefficient(field, w, new.direction, series.w[0])
         chosen = free_as_chosen(field, series, t1, state, free)
-        right = rates(field, chosen, mu, modes.direction)
+        right = rates(field, t1, state, chosen, mu, modes.direction)
         gaps = [constant(a - b) for a, b in zip(slopes, right, strict=True)]
         defect = materialize(_greatest(gaps, per_scale))  # NaN if any number is
         accepted = length * defect <= _BEARABLE * (self.order + 1)
@@ -420,7 +425,7 @@ class EventDrivenPlan(AbstractPlan):
         if self.observers:
             taken = jnp.where(accepted, lengths, 0.0)
             motion_of = _Motion([part[0] for part in series.x], series.v, taken)
-            after_it = rates(field, free, mu, new.direction)
+            after_it = rates(field, t1, state, free, mu, new.direction)
             starts = [v[1] for v in series.v]
             after_it = where(accepted, after_it, starts)
             sides = Rates(_Rate(motion_of), after_it)

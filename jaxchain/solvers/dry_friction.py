@@ -8,7 +8,8 @@ A mass sticks to the belt, slides forward (w = v - v_d > 0) or slides backward (
 with r = -2 xi v - k x + C x, the force on the mass without friction.  Where w reaches 0 the mass
 sticks if |r| <= p mu_st and slides on in the direction of r otherwise (Filippov's solution of the
 set-valued equations; it is unique forward in time).  Between two such events the motion is
-analytic, and given here as a Taylor series.
+analytic, and given here as a Taylor series.  The belt's speed may be a function of time, the load
+also one of the state: then v = v_d(t) while a mass sticks, and r is less by v_d'.
 
 In `MechanicalCells` a unit force at the contact gives the displacements of a cell the
 accelerations b = M^{-1} e_u.  With the accelerations a without friction, r = a_u / b_u, and
@@ -21,6 +22,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, cast
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
@@ -53,37 +55,65 @@ _SLACK = 1e-13
 _LEAST_DROP = 1e-12
 
 
-def static_limit(chain: Dry) -> PerMass:
+def static_limit(chain: Dry, t: Any, y: State) -> PerMass:
     """p mu_st, and a little more: see `_SLACK`."""
-    return chain.static_limit() * (1.0 + _SLACK)
+    return chain.load_at(t, y) * chain.law.mu_static * (1.0 + _SLACK)
+
+
+def slip_speed(chain: Dry, t: Any, y: State) -> Array:
+    """w, the velocity of a mass relative to the belt."""
+    return y[chain.contact] - chain.belt_speed_at(t)
+
+
+def _belt_acceleration(chain: Dry, t: Any) -> Any:
+    if not chain.moving_belt:
+        return None
+    now = jnp.asarray(t, float)
+    return jax.jvp(chain.belt_speed_at, (now,), (jnp.ones_like(now),))[1]
+
+
+def _holding(chain: Dry, t: Any, free: Sequence[Array]) -> Array:
+    """r, the force that holds a mass, from the accelerations without friction."""
+    u, belt = chain.contact - len(free), _belt_acceleration(chain, t)
+    return (free[u] if belt is None else free[u] - belt) / chain.compliance()[u]
 
 
 def free_force(chain: Dry, t: Any, y: State) -> Array:
     """r, the force that would hold a mass."""
-    u = chain.contact - len(y) // 2
-    return chain.accelerations(t, y)[u] / chain.compliance()[u]
+    return _holding(chain, t, chain.accelerations(t, y))
+
+
+def scaled_force(chain: Dry, t: Any, y: State) -> Array:
+    """r, in such a unit that the static limit is `chain.static_limit()` also where p varies."""
+    r = free_force(chain, t, y)
+    if not chain.varying_load:
+        return r
+    return r * (chain.static_limit() / (chain.load_at(t, y) * chain.law.mu_static))
 
 
 def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
     """The friction force against `direction` of masses with w = 0 in their modes."""
-    mu = chain.law.coefficient(jnp.zeros_like(direction))
-    return jnp.where(direction == STICK, free_force(chain, t, y), direction * chain.load * mu)
+    slides = direction * chain.load_at(t, y) * chain.law.coefficient(jnp.zeros_like(direction))
+    return jnp.where(direction == STICK, free_force(chain, t, y), slides)
 
 
 def motion(chain: Dry, t: Any, y: State, direction: Array) -> State:
     """y' of masses in their modes."""
     d = len(y) // 2
     # Beyond w = 0 the law is continued, so that a grazing is smooth.
-    mu = chain.law.coefficient(direction * (y[chain.contact] - chain.belt_speed))
-    return (*y[d:], *rates(chain, chain.accelerations(t, y), mu, direction))
+    mu = chain.law.coefficient(direction * slip_speed(chain, t, y))
+    return (*y[d:], *rates(chain, t, y, chain.accelerations(t, y), mu, direction))
 
 
-def rates(chain: Dry, free: Sequence[Array], mu: Array, direction: Any) -> list[Array]:
+def rates(
+    chain: Dry, t: Any, y: State, free: Sequence[Array], mu: Array, direction: Any
+) -> list[Array]:
     """v' of masses in their modes, from the accelerations without friction and mu(|w|)."""
-    b, u = chain.compliance(), chain.contact - len(free)
-    friction = jnp.where(direction == STICK, free[u] / b[u], direction * chain.load * mu)
+    b, u, belt = chain.compliance(), chain.contact - len(free), _belt_acceleration(chain, t)
+    slides = direction * chain.load_at(t, y) * mu
+    friction = jnp.where(direction == STICK, _holding(chain, t, free), slides)
     parts = [a if s is None else a - s * friction for a, s in zip(free, b, strict=True)]
-    parts[u] = jnp.where(direction == STICK, 0.0, parts[u])
+    parts[u] = jnp.where(direction == STICK, 0.0 if belt is None else belt, parts[u])
     return parts
 
 
@@ -105,7 +135,7 @@ class Series(eqx.Module):
     `x` and `v`: one list for each displacement and its velocity; `w` and `r`: of the contact.
     `bands`: (coefficients, lower, upper) of what must stay in its band, as forces choose between
     cases; `after`: the arguments of the forces by which they chose, None if the bands do not cover
-    every choice.
+    every choice.  `hold`: of the static limit, None if it is constant.
     """
 
     x: list[list[Array]]
@@ -114,18 +144,19 @@ class Series(eqx.Module):
     r: list[Array]
     bands: list[tuple[list[Array], Array, Array]]
     after: list[Array] | None
+    hold: list[Array] | None
 
 
 def friction_coefficient(
-    chain: Dry, v: Array, direction: Array, since: Array
+    chain: Dry, w: Array, direction: Array, since: Array
 ) -> tuple[Array, list[Array]]:
     """(mu(|w|) of masses in their modes, values that `expand` need not compute again).
 
-    `v`: of the contacts.  A law with knots is evaluated in the piece where w was `since` the start
+    `w`: of the contacts.  A law with knots is evaluated in the piece where w was `since` the start
     of the step, which ends just beyond a knot.
     """
     law = spread_friction(chain.law, direction)
-    speed = direction * flatten(v - spread(chain.belt_speed, direction))
+    speed = direction * flatten(w)
     if law.knots is None:
         return evaluated(law.coefficient, speed)
     if (piece := _piece(law, since)) is not None:
@@ -143,43 +174,88 @@ def expand(
 
     with m_k the coefficients of mu(direction (v - v_d)); `known`, see `friction_coefficient`.
     """
-    load, direction = chain.load, modes.direction
+    direction = modes.direction
     law = spread_friction(chain.law, direction)
     slides = direction != STICK
     d, b = len(state) // 2, chain.compliance()
     u = chain.contact - d
     x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
-    w = flatten(v[u][0] - spread(chain.belt_speed, direction))
-    speed = [direction * w]
-    friction = composed(law.coefficient, speed, piecewise=law.knots is not None, known=known)
     choices = Choices()
+    belt = _belt_series(chain, t, choices)
+    w = [flatten(v[u][0] - spread(belt[0], direction))]
+    speed = [direction * w[0]]
+    mu = composed(law.coefficient, speed, piecewise=law.knots is not None, known=known)
     free = _free_series(chain, t, x, v, choices)
+    if chain.varying_load:
+        load = _load_series(cast(MechanicalCells, chain), t, x, v, choices)
+        # p mu, of which p is in no factor.
+        friction = PowerSeries(lambda k: sum(load[j] * mu[k - j] for j in range(k + 1)))
+        hold = PowerSeries(lambda k: load[k] * law.mu_static * (1.0 + _SLACK))
+        factor: Any = 1.0
+    else:
+        friction, factor, hold = mu, chain.load_at(t, state), None
     # b direction p, so that a coefficient depends on arrays of the same shape alone.
-    push = [None if s is None else spread(s * direction * load, direction) for s in b]
+    push = [None if s is None else spread(s * direction * factor, direction) for s in b]
     r: list[Array] = []
     for k in range(order + 1):
         a = free(k)
-        r.append(a[u] / b[u])
+        carried = belt[k + 1] if chain.moving_belt else 0.0
+        r.append((a[u] - (k + 1) * carried) / b[u] if chain.moving_belt else a[u] / b[u])
         if k == order:
             break
         for i in range(d):
             if i == u:
-                change = jnp.where(slides, (a[i] - push[i] * friction[k]) / (k + 1), 0.0)
+                change = jnp.where(slides, (a[i] - push[i] * friction[k]) / (k + 1), carried)
                 if k == 0:
                     # A mass that has just been released has no acceleration yet; a disturbance may
                     # release it earlier than others whose events coincide.
-                    resting = jnp.where(modes.contact == 2, lax.stop_gradient(change), 0.0)
-                    change = change - resting
+                    resting = lax.stop_gradient(change - carried)
+                    change = change - jnp.where(modes.contact == 2, resting, 0.0)
             else:
-                force = direction * load * friction[k]
+                force = direction * factor * friction[k]
                 holding = jnp.where(slides, force, r[k])
                 change = (a[i] if b[i] is None else a[i] - b[i] * holding) / (k + 1)
             x[i].append(v[i][k] / (k + 1))
             v[i].append(flatten(change))
-        speed.append(direction * v[u][k + 1])
+        w.append(v[u][k + 1] - belt[k + 1] if chain.moving_belt else v[u][k + 1])
+        speed.append(direction * w[k + 1])
     bands = [part for band in choices.bands for part in _per_mass(*band, order, direction)]
     chosen = choices.after if choices.bands and choices.complete else None
-    return Series(x, v, [w, *v[u][1:]], r, bands, chosen)
+    limits = None
+    if hold is not None:
+        limits = [flatten(spread(hold[k], direction)) for k in range(order + 1)]
+    return Series(x, v, w, r, bands, chosen, limits)
+
+
+def _clock(t: Any) -> PowerSeries:
+    time = [jnp.asarray(t, float), 1.0]
+    return PowerSeries(lambda k: jnp.asarray(time[k] if k < 2 else 0.0, float))
+
+
+def _belt_series(chain: Dry, t: Any, choices: Choices) -> Any:
+    """v_d; only its first coefficient if it is constant."""
+    if not chain.moving_belt:
+        return [chain.belt_speed_at(t)]
+    own = Choices()
+    # Of several arguments: a single one counts as a speed, which is not negative.
+    series = composed(lambda t, _: chain.belt_speed_at(t), _clock(t), [jnp.zeros(())], choices=own)
+    choices.bands += own.bands
+    choices.complete = False  # `after` are the arguments of the forces alone
+    return series
+
+
+def _load_series(cells: MechanicalCells, t: Any, x: list, v: list, choices: Choices) -> Any:
+    own, d = Choices(), len(x)
+
+    def load(t: Any, *y: Any) -> Any:
+        return cells.load_at(t, y)
+
+    rates = tuple(s[0] for s in v)
+    slopes = (1.0, *rates, *(1.0,) * d)  # accelerations are not known yet
+    series = composed(load, _clock(t), *x, *v, slopes=slopes, choices=own)
+    choices.bands += own.bands
+    choices.complete = False
+    return series
 
 
 def _per_mass(
@@ -220,13 +296,12 @@ def _free_series(
     """The coefficients of the accelerations without friction, from those of x and v."""
     if isinstance(chain, MechanicalCells):
         cells = chain
-        time = [jnp.asarray(t, float), 1.0]
         own = [*x, *v]
         sides = [
             [PowerSeries(lambda k, s=s, i=i: cells.neighbours((s[k],))[i][0]) for s in own]
             for i in (0, 1)
         ]
-        clock = PowerSeries(lambda k: jnp.asarray(time[k] if k < 2 else 0.0, float))
+        clock = _clock(t)
         # Displacements go the way of the velocities; accelerations are not known yet.
         rates = tuple(s[0] for s in v)
         before, after = cells.neighbours(rates)
@@ -253,21 +328,28 @@ def _free_series(
 
 def start(chain: Dry, t: Any, state: State) -> tuple[State, Modes]:
     """The state, with masses near the belt speed set to it, and the modes of the masses."""
-    index, speed, (_, unit, _) = chain.contact, chain.belt_speed, chain.natural_scales()
+    index, speed, (_, unit, _) = chain.contact, chain.belt_speed_at(t), chain.natural_scales()
     v = state[index]
     w = v - speed
     touching = jnp.abs(w) <= RESOLUTION * (unit + jnp.abs(speed))
     state = (*state[:index], jnp.where(touching, speed, v), *state[index + 1 :])
     resting = Modes(jnp.sign(w), jnp.zeros(v.shape, int))
     free = chain.accelerations(t, state)
-    return state, _met(chain, free, resting, touching, jnp.zeros_like(touching))
+    return state, _met(chain, t, state, free, resting, touching, jnp.zeros_like(touching))
 
 
-def _met(chain: Dry, free: Sequence[Array], modes: Modes, lands: Array, releases: Array) -> Modes:
+def _met(
+    chain: Dry,
+    t: Any,
+    y: State,
+    free: Sequence[Array],
+    modes: Modes,
+    lands: Array,
+    releases: Array,
+) -> Modes:
     """The modes after some masses have come to w = 0 and others have been released from it."""
-    u = chain.contact - len(free)
-    r = free[u] / chain.compliance()[u]
-    sticks = lands & (jnp.abs(r) <= static_limit(chain))
+    r = _holding(chain, t, free)
+    sticks = lands & (jnp.abs(r) <= static_limit(chain, t, y))
     direction = jnp.where(lands | releases, jnp.sign(r), modes.direction)
     contact = jnp.where(lands, 1, jnp.where(releases, _released(chain.law), modes.contact))
     return Modes(jnp.where(sticks, STICK, direction), jnp.where(sticks, 0, contact))
@@ -288,11 +370,14 @@ def after(
     others have left w = 0 behind.
     """
     lands, contact = hits & (modes.direction != STICK), chain.contact
-    v = jnp.where(lands, chain.belt_speed, state[contact])
+    belt = chain.belt_speed_at(t)
+    # The belt's speed itself, not its series.
+    rides = lands | (modes.direction == STICK) if chain.moving_belt else lands
+    v = jnp.where(rides, belt, state[contact])
     state = (*state[:contact], v, *state[contact + 1 :])
     modes = Modes(modes.direction, jnp.where(moved, 0, modes.contact))
     free = chain.accelerations(t, state)
-    return state, _met(chain, free, modes, lands, hits & ~lands), free
+    return state, _met(chain, t, state, free, modes, lands, hits & ~lands), free
 
 
 def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple[Array, Array]:
@@ -318,16 +403,31 @@ def next_event(chain: Dry, series: Series, modes: Modes, length: Array) -> tuple
         direction * jnp.where(contact == 0, a, jnp.where(contact == 1, b, c))
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
-    watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
-    hold, (_, unit, force) = static_limit(chain), chain.natural_scales()
-    speed = unit + jnp.abs(chain.belt_speed)
-    return first_exit(
-        watched,
-        flatten(jnp.where(slides, 0.0, -hold)),
-        flatten(jnp.where(slides, FAR, hold)),
-        length,
-        RESOLUTION * jnp.where(slides, speed, force + hold),
-    )
+    _, unit, force = chain.natural_scales()
+    if chain.moving_belt:
+        belt = series.v[chain.contact - len(series.v)][0] - w[0]
+    else:
+        belt = chain.belt_speed_at(0.0)
+    speed = RESOLUTION * (unit + jnp.abs(belt))
+    if series.hold is None:
+        hold = static_limit(chain, 0.0, ())
+        watched = [jnp.where(slides, a, b) for a, b in zip(left, series.r, strict=True)]
+        return first_exit(
+            watched,
+            flatten(jnp.where(slides, 0.0, -hold)),
+            flatten(jnp.where(slides, FAR, hold)),
+            length,
+            jnp.where(slides, speed, RESOLUTION * (force + hold)),
+        )
+    # Two polynomials for a mass that sticks, p mu_st - r and p mu_st + r.
+    both = [
+        jnp.concatenate([jnp.where(slides, a, h - b), jnp.where(slides, float(k == 0), h + b)])
+        for k, (a, b, h) in enumerate(zip(left, series.r, series.hold, strict=True))
+    ]
+    edges = jnp.zeros_like(both[0]), jnp.full_like(both[0], FAR)
+    size = jnp.where(slides, speed, RESOLUTION * (force + series.hold[0]))
+    until, hits = first_exit(both, *edges, length, jnp.tile(size, 2))
+    return until, hits[: len(slides)] | hits[len(slides) :]
 
 
 def _next_knot(chain: Dry, series: Series, modes: Modes, length: Array) -> Array:

@@ -1,0 +1,178 @@
+"""What drives a model from outside as a function of time: measured signals."""
+
+from __future__ import annotations
+
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._checks import (
+    check_finite,
+    check_kind,
+    check_one_of,
+    check_positive_number,
+    is_traced,
+    to_float,
+)
+from .._printing import PrintedAsCall
+
+
+class Table(PrintedAsCall, eqx.Module):
+    """A function of time through measured values, for `force`, `normal_load` and `belt_speed`.
+
+    Between two times it is linear, or the cubic with the slopes of the parabolas through three
+    neighbours (Catmull and Rom's for equal distances), whose slope is continuous.  Outside of the
+    times it keeps the first and the last value, or repeats with a `period`.  Dry runs end a step
+    at each of the times, where it is not analytic.
+
+    **Arguments:** `t`, rising, of shape (times,); `values`, of shape (times,), or (times, d) for
+    the d displacements of a cell; `period`, at least t[-1] - t[0], or None; with a greater one the
+    last value leads back to the first; `kind`: "cubic" or "linear".
+
+    **Raises:** `ValueError` for anything else.
+
+    !!! example
+
+        >>> import jax
+        >>> jax.config.update("jax_enable_x64", True)
+        >>> from jaxchain.model import Table
+        >>> ramp = Table([0.0, 1.0, 3.0], [0.0, 1.0, 0.0], kind="linear")
+        >>> [round(float(ramp(t)), 6) for t in (-1.0, 0.5, 2.0, 9.0)]
+        [0.0, 0.5, 0.5, 0.0]
+    """
+
+    t: Float[Array, " times"]
+    values: Float[Array, "times ..."]
+    period: Float[Array, ""] | None
+    kind: str = eqx.field(static=True)
+
+    def __init__(self, t: Any, values: Any, period: Any = None, kind: str = "cubic") -> None:
+        self.t, self.values = to_float(t, "t"), to_float(values, "values")
+        self.period = None if period is None else to_float(period, "period")
+        check_one_of("kind", kind, ("cubic", "linear"))
+        self.kind = kind
+
+    def __check_init__(self) -> None:
+        check_finite("t", self.t)
+        check_finite("values", self.values)
+        if self.t.ndim != 1 or len(self.t) < 2 or self.values.shape[:1] != self.t.shape:
+            raise ValueError(
+                "Arguments `t` and `values` must hold as many times as values, at least two, but "
+                f"have shapes {self.t.shape} and {self.values.shape}."
+            )
+        if not is_traced(self.t) and np.any(np.diff(self.t) <= 0):
+            k = int(np.argmax(np.diff(self.t) <= 0))
+            raise ValueError(
+                f"Argument `t` must rise, but {self.t[k]:g} is followed by {self.t[k + 1]:g}."
+            )
+        if self.period is not None:
+            check_positive_number("period", self.period)
+            span = self.t[-1] - self.t[0]
+            if not is_traced(self.period, span):
+                if float(self.period) < float(span) * (1.0 - 1e-12):
+                    raise ValueError(
+                        f"Argument `period` must be at least {float(span):g}, the time from the "
+                        f"first to the last value, but is {float(self.period):g}."
+                    )
+                closed = float(self.period) <= float(span) * (1.0 + 1e-12)
+                if closed and not is_traced(self.values):
+                    first, last = np.asarray(self.values[0]), np.asarray(self.values[-1])
+                    if not np.allclose(first, last, rtol=1e-12, atol=1e-300):
+                        raise ValueError(
+                            "Argument `values` must end as it begins after one `period`, but "
+                            f"begins with {first} and ends with {last}: leave out the last time, "
+                            "or give a greater period."
+                        )
+
+    @classmethod
+    def from_csv(cls, path: str | Path, period: Any = None, kind: str = "cubic") -> Table:
+        """Reads a file whose columns are the time and one or several values.
+
+        Columns are separated by commas, semicolons or blanks; the first line may be a heading.
+
+        **Raises:** `ValueError` for anything else; `OSError` if the file does not exist.
+        """
+        check_kind("path", path, str | Path, "the name of a file")
+        text = Path(path).read_text(encoding="utf-8-sig").replace(";", " ").replace(",", " ")
+        lines = [line.partition("#")[0].split() for line in text.splitlines()]
+        rows = [line for line in lines if line]
+        try:
+            try:
+                numbers = [[*map(float, row)] for row in rows]
+            except ValueError:
+                numbers = [[*map(float, row)] for row in rows[1:]]
+            table: Any = np.asarray(numbers, float)
+        except ValueError:
+            table = np.zeros(0)
+        if table.ndim != 2 or table.shape[1] < 2:
+            raise ValueError(
+                f"Argument `path` = {path} must hold rows of numbers, a time and its values, as "
+                "many in each row."
+            )
+        values = table[:, 1] if table.shape[1] == 2 else table[:, 1:]
+        return cls(table[:, 0], values, period, kind)
+
+    def __call__(self, t: Any) -> Float[Array, "..."]:
+        """The value, or d of them, at a time."""
+        last = len(self.t) - 1
+        if self.period is None:
+            now = jnp.clip(t, self.t[0], self.t[-1])
+            count = last
+        else:
+            now = self.t[0] + jnp.mod(t - self.t[0], self.period)
+            count = last + 1
+        i = jnp.clip(jnp.searchsorted(self.t, now, side="right") - 1, 0, count - 1)
+        a, b = self._time(i), self._time(i + 1)
+        # A step of a Taylor series ends where this changes.
+        s = jnp.where(now < b, now - a, now - a) / (b - a)
+        first, second = self._value(i), self._value(i + 1)
+        if self.kind == "linear":
+            return first + s * (second - first)
+        rise, fall = (b - a) * self._slope(i), (b - a) * self._slope(i + 1)
+        change = second - first
+        bend = 3.0 * change - 2.0 * rise - fall
+        return first + s * (rise + s * (bend + s * (rise + fall - 2.0 * change)))
+
+    def _time(self, i: Any) -> Any:
+        """Of a knot, also of the next and of the previous period."""
+        if self.period is None:
+            return self.t[jnp.clip(i, 0, len(self.t) - 1)]
+        return self.t[i % len(self.t)] + (i // len(self.t)) * self.period
+
+    def _value(self, i: Any) -> Any:
+        size = len(self.t)
+        return self.values[jnp.clip(i, 0, size - 1) if self.period is None else i % size]
+
+    def _slope(self, i: Any) -> Any:
+        """Of the parabola through three neighbours; at an end that of the chord."""
+        before, here, after = (self._time(i + k) for k in (-1, 0, 1))
+        low, middle, high = (self._value(i + k) for k in (-1, 0, 1))
+        h, g = here - before, after - here
+
+        def chord(rise: Any, run: Any) -> Any:
+            return rise / jnp.where(run > 0, run, 1.0)
+
+        left, right = chord(middle - low, h), chord(high - middle, g)
+        total = jnp.where(h + g > 0, h + g, 1.0)
+        both = (g * left + h * right) / total
+        return jnp.where(h > 0, jnp.where(g > 0, both, left), right)
+
+
+class OfTime(PrintedAsCall, eqx.Module):
+    """A load that depends on time alone, as a function (t, q, v)."""
+
+    function: Any
+
+    def __call__(self, t: Any, q: Any, v: Any) -> Any:
+        del q, v
+        return self.function(t)
+
+
+def takes_state(function: Any) -> bool:
+    """Whether a load is a function (t, q, v), not of time alone."""
+    return len(signature(function).parameters) > 1
