@@ -2,6 +2,7 @@
 
 - `amplitude`: half peak-to-peak of displacements, with early ends of runs
 - `base`: the base class of observers
+- `crossings`: when a variable of a cell, or a function of all, passes a level
 - `energy_balance`: work of the belt, losses, stored energy; the integral of tr J
 - `fronts`: the positions of the two fronts of a vibrating block
 - `quantities`: energy, vibrating masses, periods, delays, from amplitudes and peak times

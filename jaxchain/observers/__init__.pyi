@@ -2,6 +2,7 @@ from .amplitude import Amplitude as Amplitude
 from .base import AbstractObserver as AbstractObserver
 from .base import Step as Step
 from .base import Variable as Variable
+from .crossings import Crossings as Crossings
 from .energy_balance import Divergence as Divergence
 from .energy_balance import EnergyBalance as EnergyBalance
 from .fronts import FrontTrack as FrontTrack

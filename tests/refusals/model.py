@@ -129,6 +129,12 @@ def _laws() -> Iterator[Row]:
     yield row("StaticKinetic", both, mu_static=(*PER_MASS_0, 0.4), mu_kinetic=PER_MASS_0)
     yield row("TanhFriction", {"law": LAW, "width": 1e-3}, law=(*NO_LAW, 1), width=PER_MASS)
     yield row(
+        "Table", {"t": [0.0, 1.0], "values": [1.0, 2.0]},
+        t=(None, "x", {}, [1j, 2.0], [0.0, math.nan], Told([1.0, 0.0], "1 is followed by 0")),
+        values=(None, "x", {}, [0.0, math.nan], Told([0.0], r"\(1,\)")),
+        period=("x", {}, -1.0, 0.0, math.nan, Told(0.5, "0.5")), kind=WORD,
+    )  # fmt: skip
+    yield row(
         "TabulatedFriction", {"speed": [0.0, 1.0], "mu": [1.0, 0.5]},
         speed=(
             None, "x", {}, [1j, 2.0], [0.0, math.nan], Told(1.0, "1 and 2"), Told([0.0], "1"),

@@ -85,6 +85,10 @@ def _observers() -> Iterator[Row]:
         "Samples", {"interval": 0.5, "capacity": 4}, interval=POSITIVE, **place,
         oscillators=("x", 3, {}, (), (-1,), (1.5,), ((1,),), (True,)),
     )  # fmt: skip
+    yield row(
+        "Crossings", {}, level=NUMBER, direction=WORD, oscillator=COUNT_0, component=COUNT_0,
+        of=("x", 3, lambda t: t), **place,
+    )  # fmt: skip
     yield row("StickTime", {}, window=POSITIVE)
     times = (*ARRAY, [[1.0]], [math.nan], [math.inf], Told([2.0, 1.0], "2 is followed by 1"))
     yield row("Trajectory", {}, times=times)

@@ -124,7 +124,7 @@ time.transient=1e300 -> time.transient: must be at most 1e+09, but is 1e+300
 observe.stop=early -> observe.stop: must be 'never', 'quiet' or 'steady', but is "earl
 observe.quantities=["speed"] -> observe.quantities[0]: must be 'amplitude', 'energy' or
 observe.repeats=1000000000000000000000000000000 -> observe.repeats: must be at most 1000000, but
-observe.others=[{}] -> observe.others[0].observer: must be one of "Divergence", "Ener
+observe.others=[{}] -> observe.others[0].observer: must be one of "Crossings", "Diver
 observe.others=[{observer="Sticktime"}] -> observe.others[0].observer: must be one of
 observe.others=[{observer="PeakTimes",start=1,capacty=2}] -> observe.others[0].capacty: is not a k
 numerics.model=rough -> numerics.model: must be 'smoothed', 'dry' or 'both', but
