@@ -51,6 +51,8 @@ def test_a_circle_closes():
     np.testing.assert_allclose(branch.u[:, 0] ** 2 + branch.p**2, 1.0, rtol=1e-14)
     np.testing.assert_allclose(branch.arclength[-1], 2 * np.pi, rtol=1e-5)
     np.testing.assert_allclose(fold_values(branch), [1.0, -1.0], rtol=1e-14)
+    quarters = [point.arclength / (np.pi / 2) for point in branch.special]
+    np.testing.assert_allclose(quarters, [1.0, 3.0], rtol=1e-4)
     np.testing.assert_allclose(branch.tangents[:, 1], branch.u[:, 0], atol=1e-7)
 
 

@@ -53,6 +53,7 @@ def test_the_null_vector_and_the_scale_of_rows():
     assert plain.successful
     assert scaled.successful
     np.testing.assert_allclose(scaled.p, plain.p, rtol=1e-12)
+    np.testing.assert_allclose(np.abs(scaled.slope), np.abs(plain.slope), rtol=1e-9)
     slope = jax.jacfwd(bratu)(plain.u, plain.p, np.ones(m))
     assert np.max(np.abs(slope @ plain.null)) < 1e-9 * np.max(np.abs(slope))
     np.testing.assert_allclose(np.linalg.norm(plain.null), 1.0)
