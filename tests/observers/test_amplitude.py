@@ -42,10 +42,11 @@ def cosine(edges, window):
         pytest.param((0.0, 0.5, 0.5, 2.0, 2.0, 3.0), id="where a step of no length ends"),
         pytest.param((0.0, 0.3, 0.9, 2.0, 3.0), id="within a step"),
         pytest.param((0.5, 2.0, 3.0), id="with the run"),
+        pytest.param((-0.5, 0.9, 2.0, 3.0), id="after a maximum in the same step"),
     ],
 )
 def test_an_amplitude_is_that_of_its_window(edges):
-    # Without turning points: from cos(0.5) down to cos(3).
+    # Within it there is no turning point: from cos(0.5) down to cos(3).
     expected = (np.cos(0.5) - np.cos(3.0)) / 2
     assert abs(cosine(edges, 2.5) - expected) < 1e-12
 

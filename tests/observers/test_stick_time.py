@@ -14,8 +14,11 @@ def test_the_time_is_the_share_of_states_in_which_friction_holds_a_mass():
     coupling = jnp.array([0.3, 0.1])
     chain = Chain(3, law, 1.0, coupling=coupling, stiffness=stiffness, ends="free")
     start = jnp.array([1.5, -0.7, 0.9]), jnp.array([0.2, 1.0, -0.3])
-    watch = StickTime(window=6.0), Trajectory(jnp.linspace(20.0, 26.0, 60_001))
-    found, states = simulate(chain, start, 26.0, observe=watch, rtol=1e-9).observed
-    share = np.mean(sticking(chain, states), axis=0)
-    assert np.any(share > 0.1)
-    np.testing.assert_allclose(found, 6.0 * share, atol=2e-4)  # a sample at each end
+    windows = 6.0, 4.5, 3.0, 1.5  # the last ones begin while a mass sticks
+    watch = *map(StickTime, windows), Trajectory(jnp.linspace(20.0, 26.0, 60_001))
+    *found, states = simulate(chain, start, 26.0, observe=watch, rtol=1e-9).observed
+    sticks = np.asarray(sticking(chain, states))
+    assert np.any(np.mean(sticks, axis=0) > 0.1)
+    for window, time in zip(windows, found, strict=True):
+        share = np.mean(sticks[-round(window * 10_000) - 1 :], axis=0)
+        np.testing.assert_allclose(time, window * share, atol=2e-4)  # a sample at each end

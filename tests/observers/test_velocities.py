@@ -42,6 +42,9 @@ def test_extremes_of_a_velocity_within_long_steps():
         whole = 0.5 * (0.3 - force * (np.sin(3.0) - np.sin(3.3)))
         assert abs(amplitude - max(rise, whole)) < 1e-10
         np.testing.assert_allclose(times, np.pi - early, atol=1e-8)
+        # On a belt that runs backward a section is where the mass is fastest in that direction.
+        *_, mirrored = observed(0.0, 1.0, -9.0, -force, 1.0, 0.0, -v, 3.0, 3.3, 1)
+        np.testing.assert_allclose(mirrored, np.pi - early, atol=1e-8)
 
 
 def test_extremes_of_a_displacement_within_long_steps():
