@@ -57,6 +57,10 @@ def test_numbers_per_mass_and_matrices_run_along_realisations():
     unequal = over | {"damping_ratio": np.ones((5, 3))}
     with pytest.raises(ValueError, match="must be of equal length"):
         check_axes(chain, equation_8(chain, 1), unequal)
+    # Each number is possible in itself, and both where one of them is least or greatest.
+    pairs = {"mu_static": [0.8, 1.0, 1.2], "mu_dynamic": [0.2, 1.1, 1.15]}
+    with pytest.raises(ValueError, match="mu_dynamic"):
+        check_axes(chain, equation_8(chain, 1), {"pair": pairs})
     matrices = np.array([[[2.0, 0.5], [0.5, 1.0]], [[3.0, 0.2], [0.2, 1.5]]])
     cells = MechanicalCells(matrices[0])
     start = jnp.ones(1), *jnp.zeros((3, 1))

@@ -228,6 +228,13 @@ def test_what_decides_a_number_is_seen_when_it_changes(change):
     assert re.search(message, "; ".join(differences(first, known(**after))))
 
 
+def test_the_tolerance_that_accuracy_picks_is_the_tightest_of_all_blocks(monkeypatch):
+    smooth: Any = smoothed(accuracy=1e-2)
+    whole, chunks_of = known(**smooth)["solver"], module.chunks_of
+    monkeypatch.setattr(module, "chunks_of", lambda axes, size: chunks_of(axes, 1))
+    assert known(**smooth)["solver"] == whole
+
+
 def test_so_is_another_version_of_the_code_or_of_a_library(monkeypatch):
     before, newer = known(), module.versions() | {"jax": "99.0", "python": "4"}
     monkeypatch.setattr(module, "code", lambda: "sha256 other")

@@ -120,7 +120,6 @@ def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(so
         assert np.array_equal(bits(jobs, devices, solver=solver), seven[:jobs])
 
 
-@pytest.mark.long
 def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     """Without `lanes`, a pool of a quarter goes on, as soon as that is worth compiling."""
     from jaxchain.sweeps import scheduler as pool
@@ -129,15 +128,19 @@ def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
     monkeypatch.setattr(pool, "_FIRST_NUMBERS", 1)  # the host looks in between
 
     def ends(**more):
-        # One lane in four goes on: the others rest, and stop.
+        # The last lane of four goes on: the others come to rest, and stop.
         found = sweep(
-            CHAIN, equation_8, 200.0, over={"excited": [0, 0, 0, 1]}, devices=jax.devices()[:1],
+            CHAIN, lambda chain: equation_8(chain, 1), 200.0, devices=jax.devices()[:1],
+            over={"damping_ratio": [0.6, 0.6, 0.6, 0.05]},
             observe=Amplitude(window=20.0, stop="quiet"), **more,
         )  # fmt: skip
-        return found.attrs["lanes_per_device"], found.attrs["lanes_per_device_at_end"]
+        assert [NAMES[int(result)] for result in found.result] == [*["quiet"] * 3, "successful"]
+        lanes = found.attrs["lanes_per_device"], found.attrs["lanes_per_device_at_end"]
+        return lanes, found.amplitude.values
 
-    assert ends(lanes=4) == (4, 4)
-    assert ends() == (4, 1)
+    (same, expected), (fewer, amplitude) = ends(lanes=4), ends()
+    assert (same, fewer) == ((4, 4), (4, 1))
+    np.testing.assert_allclose(amplitude, expected, atol=1e-6)
 
 
 def test_results_do_not_depend_on_how_often_the_host_looks(monkeypatch):
@@ -310,12 +313,11 @@ def test_labels_know_the_chain_of_their_lane():
     assert float(data.amplitude.isel(speed=0).min()) > 1.0
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     "solver",
     [
         pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="dry"),
+        pytest.param(EventDriven(), id="dry", marks=pytest.mark.long),
     ],
 )
 def test_segments_are_those_of_single_runs(solver):
