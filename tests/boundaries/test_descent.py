@@ -39,6 +39,19 @@ def test_a_step_that_is_far_too_long_ends_at_a_positive_speed():
     assert np.nanmin(found.speeds) > 0
 
 
+def test_the_slope_of_the_ascent_is_that_of_differences():
+    """An optimiser that stays at the first s, for which the cycle closes."""
+    chain, stays, h = paper_chain(1, width=0.05), optax.sgd(0.0), 1e-3
+    before, found, after = (
+        fold_by_descent(chain, start=s, optimiser=stays, steps=8) for s in (-2 - h, -2.0, -2 + h)
+    )
+    slope = float(after.belt_speed - before.belt_speed) / (2 * h) / 0.05
+    assert float(found.slope) == pytest.approx(slope, rel=1e-4)
+    assert abs(slope) > 0.1
+    assert not found.successful
+    assert found.belt_speeds[-1] == pytest.approx(float(found.belt_speed), rel=1e-9)
+
+
 @pytest.mark.long
 def test_ascent_and_secant_find_the_same_fold():
     chain = paper_chain(1, width=0.02)

@@ -101,7 +101,7 @@ def folds():
     return {width: find_fold(paper_chain(1, width=width)) for width in (0.05, 0.01)}
 
 
-def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds):
+def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds, dry_fold):
     """The belt speed of the chain, and its direction, have no part in it."""
     for width, fold in folds.items():
         assert bool(fold.successful)
@@ -119,6 +119,9 @@ def test_the_fold_is_a_closed_cycle_with_two_multipliers_of_one(folds):
     for speed in (-1.5, 0.3):
         value = find_fold(paper_chain(1, belt_speed=speed, width=0.05)).belt_speed
         np.testing.assert_allclose(value, folds[0.05].belt_speed, rtol=1e-10)
+    # Below the least width of the search.
+    thin = find_fold(paper_chain(1, width=1e-9)).belt_speed
+    np.testing.assert_allclose(thin, dry_fold.smoothed(1e-9), rtol=1e-9)
 
 
 @pytest.mark.long

@@ -208,7 +208,6 @@ def test_gradients_of_both_kinds_are_those_of_differences():
     np.testing.assert_allclose(second, (ends[0] - ends[1]) / (2 * h), rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.long
 def test_a_chain_in_which_another_mass_passes_is_refused():
     """The second mass, hardly damped and hardly loaded, resonates."""
     chain = paper_chain(n=2, width=None).with_(

@@ -1,7 +1,9 @@
 """Both boundaries of a chain, and where they meet, against witnesses."""
 
+import inspect
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from scipy.optimize import brentq, fsolve
 
 from jaxchain import paper_chain
-from jaxchain.boundaries import continue_special, find_hopf_point, fold, grazing, limit
+from jaxchain.boundaries import continue_special, find_hopf_point, fold, grazing, limit, ranges
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.result import SearchResult
 
@@ -74,6 +76,23 @@ def test_the_width_beyond_which_vibration_sets_in_gently():
     found = meeting(paper_chain(1, width=0.1), "width", 0.05, 1.0)
     np.testing.assert_allclose(found, (width, speed), rtol=1e-9)
     assert 0.3 < width < 0.35  # a fold exists at the one and not at the other
+
+
+def test_a_single_mass_without_damping_leaves_no_highest_speed(monkeypatch):
+    """A fold and a Hopf speed by hand; the compiled program is that of this test alone."""
+    plain: Any = inspect.unwrap(ranges._range)
+    by_hand = jnp.asarray(1.5), jnp.asarray(-2.0), SearchResult.successful
+    monkeypatch.setattr(ranges, "fold_speed_and_peak", lambda chain, mass: by_hand)
+    monkeypatch.setattr(ranges, "hopf_belt_speed", lambda chain: jnp.asarray(1.1))
+    monkeypatch.setattr(ranges, "_range", eqx.filter_jit(plain))
+    for damping in ([0.05, 0.04], [0.05, 0.0], [0.0, 0.05]):
+        found = stability_range(paper_chain(2).with_(damping_ratio=jnp.array(damping)), 1)
+        if min(damping) > 0:
+            assert found.successful
+            assert (float(found.highest), float(found.width)) == pytest.approx((1.5, 0.4))
+        else:
+            assert found.result == SearchResult.undamped
+            assert np.isnan([found.highest, found.width]).all()
 
 
 def test_with_error_bars_the_dry_fold_is_searched_once(monkeypatch):

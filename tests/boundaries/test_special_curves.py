@@ -142,7 +142,13 @@ def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_po
     np.testing.assert_allclose(curve.first, speeds, atol=1e-9)
     (meeting,) = curve.of_kind("generalised Hopf")
     assert (meeting.first, meeting.second) == pytest.approx(MEETING, abs=1e-10)
-    assert curve.second[meeting.index] < meeting.second < curve.second[meeting.index + 1]
+    # From beyond it, it is on the other side.
+    bounds = {"damping_ratio": (0.2, 1.0)}
+    back = continue_special(curve.at(meeting.index + 2), "damping_ratio", bounds=bounds)
+    for one in (curve, back):
+        (at,) = one.of_kind("generalised Hopf")
+        assert at.second == pytest.approx(meeting.second, abs=1e-10)
+        assert one.second[at.index] < at.second < one.second[at.index + 1]
     # The Lyapunov coefficient on both sides of it, by another way.
     for damping in (0.05, 0.25, 0.3):
         there = chain.with_(damping_ratio=damping, belt_speed=0.3)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxchain import Chain, fold_belt_speed, paper_chain
-from jaxchain.boundaries.limit import extrapolate, extrapolated_fold
+from jaxchain.boundaries.limit import _unless_free, extrapolate, extrapolated_fold
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.model import GaussianStribeck
 
@@ -77,6 +77,16 @@ def test_it_is_linear_in_the_values_and_transforms():
     np.testing.assert_allclose(both.value[0], 1.8, rtol=1e-12)
     assert jnp.isnan(both.value[1])
     assert jnp.isnan(both.error[1])
+
+
+def test_a_mass_that_stays_out_of_the_layer_has_the_bar_of_a_straight_line():
+    """s falls like 1 / width, so w has a limit; the fold at the least width is off by its bar."""
+    widths = np.array([4e-3, 1e-3, 1.3e-2, 4e-2])
+    folds = 1.8 + 0.3 * widths
+    parts = map(jnp.asarray, (folds, -1e-2 / widths, widths))
+    found = _unless_free(extrapolate(folds, widths), *parts)
+    assert float(found.value) == folds[1]
+    assert float(found.error) == pytest.approx(0.3 * 1e-3, rel=1e-4)
 
 
 @pytest.mark.long
