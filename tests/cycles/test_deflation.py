@@ -45,6 +45,15 @@ def test_the_cycles_of_two_oscillators_are_found_once_each_and_then_no_more():
     )
     assert again.cycles == []
     assert sum(again.failures.values()) == 4
+    assert np.all(again.outcomes == -1)
+    # Indices count the cycles that are new.
+    known = search.cycles[1:]
+    rest = find_limit_cycles(
+        PAIR, (starts, jnp.full(4, 6.4)), known=known, mass=0, lanes=4, rounds=1
+    )
+    assert len(rest.cycles) == 1
+    assert rest.failures == {"copy": 3}
+    assert rest.outcomes.tolist() == [[0] * 4]
 
 
 @pytest.mark.long

@@ -58,6 +58,9 @@ def test_one_mass_agrees_with_scipy():
         # What the check says of a matrix that is right, and of one that is not.
         assert float(liouville_defect(found, integral)) < 1e-8
         assert float(liouville_defect(found + 1e-4 * jnp.eye(2), integral)) > 2e-5
+    # 1 + d and 0.5 + d have the product 0.6.
+    off = liouville_defect(jnp.diag(jnp.array([1.0, 0.5])), jnp.log(0.6))
+    assert float(off) == pytest.approx(0.1 / 1.5, rel=1e-12)
 
 
 @pytest.mark.long

@@ -10,6 +10,7 @@ import pytest
 from jaxchain import Rodas5P, paper_chain
 from jaxchain.cycles.shooting import Shooting
 from jaxchain.cycles.symmetry import symmetry_breaking_basis
+from jaxchain.kinds.changes import Change
 from jaxchain.kinds.fold import Fold
 from jaxchain.kinds.kind import Unknowns
 from jaxchain.kinds.multipliers import PeriodDoubling, SymmetryBreaking, Torus
@@ -114,6 +115,19 @@ def test_tests_change_their_sign_at_the_unit_circle_alone():
         test = kind.curve_tests(SimpleNamespace(curve_tests=lambda folds: {}))[name]
         one, other = (test(None, 0.0, None, seen(at, at + d, 0.3)) for d in (0.01, -0.01))
         assert one * other < 0
+    lines = Torus().curve_tests(SimpleNamespace(curve_tests=lambda folds: {}))
+    for n in (1, 2, 3, 4):  # kappa is the last unknown but one
+        assert abs(lines[f"1:{n}"](np.array([0.3, np.cos(2 * np.pi / n), 1.4]))) < 1e-15
+
+
+def test_a_grazing_that_is_followed_is_a_fold_of_a_slip_cycle_alone():
+    refined, rough = SimpleNamespace(refined=True), SimpleNamespace(refined=False)
+    for slips, name in ((True, "grazing fold"), (False, "grazing")):
+        orbit = SimpleNamespace(special=np.array([0, 0, 0]), slips=slips)
+        kind, unknowns = Change("grazing", turns=True).followed(orbit, refined)
+        assert (kind.name, unknowns) == (name, [])
+        with pytest.raises(ValueError, match="not solved for to all digits"):
+            Change("grazing").followed(orbit, rough)
 
 
 def test_the_symmetry_test_sees_what_breaks_the_symmetry_alone():

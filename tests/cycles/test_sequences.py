@@ -29,6 +29,7 @@ from jaxchain import (
 from jaxchain.basins import sliding_basin
 from jaxchain.boundaries import find_special_cycle
 from jaxchain.cycles import branches
+from jaxchain.cycles.sequences import _consistent, _Part
 from jaxchain.model import MechanicalCells
 
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
@@ -70,12 +71,25 @@ def test_a_branch_goes_from_sticking_over_the_fold_to_the_hopf_point(dry_branch)
     assert "amplitude vanishes" in branch.message
     turn = np.argmax(branch.parameter)
     assert abs(turn - fold.index) <= 1
+    assert hopf.index == len(branch.parameter) - 1
     assert np.all(np.diff(branch.parameter[: turn + 1]) > 0)
     assert np.all(np.diff(branch.parameter[turn + 1 :]) < 0)
     data = branch.to_dataset()
     assert data.special_kind.values.tolist() == ["grazing fold", "hopf"]
     np.testing.assert_array_equal(data.stable, branch.unstable == 0)
     assert data.attrs["ended"] == "stopped"
+
+
+def test_without_its_stick_a_mass_goes_on_to_the_other_side():
+    """Behind the belt, stick, ahead of it, stick: the first stick is gone."""
+    modes, events = (-1.0, 0.0, 1.0, 0.0), ("landing", "release") * 2
+    signs = (1.0, 1.0, -1.0, -1.0)
+    parts = [
+        _Part((mode,), 1.0, ((event, 0, sign),))
+        for mode, event, sign in zip(modes, events, signs, strict=True)
+    ]
+    left = [parts[k] for k in (0, 2, 3)]
+    assert _consistent(left, parts, {(1, 0)}) == left
 
 
 def test_each_point_is_the_cycle_that_a_search_finds_and_scipy_runs(dry_branch):

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
+from systems.oscillators import LinearRing
 
 from jaxchain import SearchResult, continue_cycle, find_limit_cycle
 from jaxchain.boundaries import continue_special
 from jaxchain.cycles import CycleSymmetry, cycle_symmetry, switch_cycle
 from jaxchain.cycles.symmetry import finer, isotropy, label_of, ring_motions
 from jaxchain.model import AbstractCells
+from jaxchain.model.springs import Springs
 
 
 class Ring(AbstractCells):
@@ -231,6 +233,17 @@ def test_two_shifts_may_lead_to_masses_that_move_alike():
     symmetry = CycleSymmetry("", (0, 1, 0, 1), shift=((3, 0, 1, 2), 2))
     found = find_limit_cycle(cells, start, images=symmetry, mass=0)
     check_same(found.multipliers, multipliers(4, 2, -0.25))
+
+
+def test_in_a_ring_of_three_two_may_be_half_a_period_apart():
+    """They swing against each other and the third is at rest: omega^2 = k + 3 eta."""
+    x = jnp.array([0.0, 1.0, -1.0])
+    ring = LinearRing(
+        damping=jnp.zeros(3), stiffness=jnp.ones(3), springs=Springs(jnp.asarray(0.2), "cyclic"),
+        x0=x, v0=0.0 * x,
+    )  # fmt: skip
+    found = cycle_symmetry(ring, (x, 0.0 * x), 2 * np.pi / 1.6**0.5)
+    assert (found.images, found.shift) == ((0, 1, 2), ((0, 2, 1), 2))
 
 
 def test_a_wrong_shift_is_refused():
