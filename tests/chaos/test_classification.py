@@ -71,7 +71,6 @@ def start(x=(2.0, -1.0), v=(0.0, 0.0)):
     return jnp.asarray(x), jnp.asarray(v)
 
 
-@pytest.mark.long
 def test_the_multiplier_of_a_single_sticking_mass_is_zero():
     chain, start = paper_chain(n=1, belt_speed=1.5), (jnp.array([2.2]), jnp.zeros(1))
     orbit = closed_orbit(chain, start, 6.26, solver=EventDriven())

@@ -1,11 +1,15 @@
 """The criteria of a verdict: exponents, tori, and ensembles with noise."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from jaxchain.chaos.classification import (
     Criteria,
     Evidence,
+    _on_orbit,
     classify,
     judge_exponents,
     judge_torus,
@@ -117,6 +121,20 @@ def test_an_unresolved_exponent_is_reported_as_a_bound():
     # Of a run that locks while exponents are measured it is below everything else.
     late = run_of(exponents=(0.0, np.nan), width=1e-6)
     assert judge_exponents(late, Criteria()) == "cycle"
+
+
+def test_every_multiplier_may_have_the_error_of_the_trivial_one():
+    """(ln mu)' = 1 / mu, so that small ones have rates of greater error."""
+    mu, period, defect = np.array([0.5, 1e-2]), 6.0, 1e-5
+    rates = np.log(mu) / period
+    known = {"period": period, "exponents": rates, "highest_exponents": rates}
+    orbit: Any = SimpleNamespace(**known, defect=defect)
+    found = _on_orbit(Evidence(0.0, 0), orbit, True, 500.0)
+    assert found.kind == "cycle"
+    np.testing.assert_allclose(found.exponents, [0.0, *rates])
+    errors = defect / period * np.array([1.0, *1 / mu])
+    np.testing.assert_allclose(found.high - found.exponents, errors, rtol=1e-9)
+    np.testing.assert_allclose(found.exponents - found.low, errors, rtol=1e-9)
 
 
 def test_runs_without_exponents_go_with_those_that_have_them():
