@@ -1,5 +1,8 @@
 """The gentlest blow: exact for one mass, the best of all directions, borne out by runs."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -148,6 +151,21 @@ def test_the_normal_and_the_derivative_are_those_of_the_energy_at_a_time(monkeyp
     z, slopes = found(1.4)
     np.testing.assert_allclose(z, slope / np.linalg.norm(slope))
     np.testing.assert_allclose(slopes, -1.5 * 0.7 / 1.4)
+
+
+def test_a_blow_on_several_masses_says_which_share_of_its_energy_the_hardest_kick_has():
+    one, none = jnp.ones(()), jnp.zeros((), int)
+    attempt = blows._Attempt(
+        direction=jnp.array([0.6, 0.0, -0.8]), threshold=Threshold(one, one, one, none),
+        angle=0.0 * one, sizes=one[None], ended=SearchResult.successful,
+        goes_on=jnp.array([False, True, True]), vibrating=jnp.ones((3, 3), bool),
+    )  # fmt: skip
+    trials: Any = SimpleNamespace(rate=one, vibrating_among=lambda kick, tries: none)
+    found = blows._blow(trials, attempt, 2.0 * one, lambda key, u: u, 0)
+    assert found.successful
+    np.testing.assert_allclose(found.kick, [1.2, 0.0, -1.6])
+    assert (int(found.mass), float(found.share)) == (2, pytest.approx(0.64))
+    assert (float(found.dies_at), float(found.vibrates_at)) == pytest.approx((0.99, 1.01))
 
 
 def test_a_fate_ends_a_run_as_soon_as_it_is_clear():

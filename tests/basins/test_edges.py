@@ -23,7 +23,7 @@ from jaxchain import (
 )
 from jaxchain.basins import edge_state
 from jaxchain.observers import mean_period
-from jaxchain.result import Result, name_of
+from jaxchain.result import Result, SearchResult, name_of
 
 from .planes import Plane
 
@@ -170,6 +170,32 @@ def test_its_cycle_is_closed_from_the_state_and_the_period(edges, monkeypatch):
     for name in ("both die", "two frequencies"):
         with pytest.raises(ValueError, match="not periodic"):
             edges[name].cycle()
+
+
+@pytest.mark.parametrize(
+    ("vibrate", "ends", "stage"),
+    [
+        ((False, False), (0.5, 0.9), module.CHECK),
+        ((True, True), (0.0, 0.4), module.CHECK),
+        ((False, True), (0.4, 0.5), module.CUT),
+        ((True, False), (0.5, 0.4), module.CUT),
+    ],
+)
+def test_a_bracket_that_has_lost_the_edge_is_widened_where_it_is(vibrate, ends, stage):
+    """Of runs that both die out beyond the one end, by four times its length."""
+    zero, blank, no = jnp.zeros((), int), jnp.zeros((2, 1)), jnp.asarray(False)
+    pair, sides = (jnp.array([[0.4], [0.5]]), blank), jnp.array([[False], [True]])
+    now = module.EdgeSearch(
+        stage=zero + module.CHECK, final=no, ends=pair, runs=pair, count=zero, low=blank,
+        high=blank, last_low=blank, last_high=blank, vibrates=sides, sides=sides,
+        pattern=jnp.array(vibrate)[:, None], agree=jnp.array([3, 3]), widened=zero, tracked=zero,
+        amplitudes=blank[:1], distances=blank[0], sharp=blank[0], repeats=zero,
+        result=SearchResult.where(~no, SearchResult.successful, SearchResult.nonfinite),
+    )  # fmt: skip
+    new = module._check(now, SimpleNamespace(patience=1e3))
+    np.testing.assert_allclose(new.ends[0].ravel(), ends, atol=1e-15)
+    assert int(new.stage) == stage
+    assert name_of(new.result) == "successful"
 
 
 def edge_of(speed, weak, strong, n=1, width=None, **how):
