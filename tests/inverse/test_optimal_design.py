@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import minimize
 from two_runs import is_boundary, survives
 
-from jaxchain.basins.blows import gentlest_blow
+from jaxchain.basins.blows import Blow, gentlest_blow
 from jaxchain.boundaries.ranges import StabilityRange
 from jaxchain.inverse import optimal_design
 from jaxchain.inverse.optimal_design import design
@@ -92,6 +92,10 @@ def weaker(chain, mu):
     return chain.with_(mu_static=mu)
 
 
+def damped(chain, xi):
+    return chain.with_(damping_ratio=xi)
+
+
 def test_a_design_stays_where_static_friction_exceeds_dynamic_friction_and_says_so(quick):
     with pytest.warns(UserWarning, match="edge of the domain, `mu_static = mu_dynamic`"):
         found = design(ONE, weaker, 1.0, highest_below=1.7, cost=lambda mu: mu**2)
@@ -99,6 +103,26 @@ def test_a_design_stays_where_static_friction_exceeds_dynamic_friction_and_says_
     assert float(found.theta) == pytest.approx(0.5, abs=1e-5)
     assert float(jnp.nanmin(found.path)) >= 0.5
     weaker(ONE, found.theta)  # the constructor accepts it
+
+
+def blow_in_closed_form(chain, hit):
+    """A made-up one of size 20 xi; without vibration for xi > 0.2."""
+    none = chain.damping_ratio > 0.2
+    result = SearchResult.where(none, SearchResult.no_vibration, SearchResult.successful)
+    size, one = jnp.where(none, jnp.inf, 20.0 * chain.damping_ratio), jnp.ones(())
+    count = jnp.zeros((), int)
+    return Blow(
+        size=size, kick=one[None], mass=count, share=one, vibrating=jnp.ones(1, bool), dies_at=one,
+        vibrates_at=one, angle=one, sizes=one[None], tried=count, lighter=count, result=result,
+    )  # fmt: skip
+
+
+def test_without_vibration_any_blow_is_borne(monkeypatch):
+    monkeypatch.setattr(optimal_design, "gentlest_blow", blow_in_closed_form)
+    for start, least in ((0.05, 0.065), (0.25, 0.25)):
+        found = design(ONE, damped, start, blow_above=1.3)
+        assert found.successful
+        assert float(found.theta) == pytest.approx(least, abs=1e-6)
 
 
 def test_exactly_one_target_is_given():

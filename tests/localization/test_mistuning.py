@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import truncnorm
 
 from jaxchain import Amplitude, Chain, EventDriven, equation_8, paper_chain, simulate, sweep
 from jaxchain.boundaries.hopf import hopf_belt_speed
@@ -26,6 +27,7 @@ def test_participation_ratio_in_closed_form():
         ([0.0, 1.7, 0.0, 0.0], 1.0),
         ([0.3] * 7, 7.0),
         ([0.0, -2.0, 2.0], 2.0),
+        ([-0.3] * 7, 7.0),
         ([0.0, 0.0], 0.0),
         ([1e-160, 1e-160, 0.0], 2.0),  # the fourth powers underflow
         ([2.0, 1.0], 25.0 / 17.0),
@@ -60,6 +62,9 @@ def test_disorder_is_a_standard_deviation(distribution):
     farthest = {"uniform": 3.0**0.5, "normal": 4.0}[distribution] * 0.1
     assert np.abs(k - 1.0).max() <= farthest * (1 + 1e-2)
     assert np.abs(k - 1.0).max() > 0.98 * farthest
+    if distribution == "normal":  # without the tails, which matter less than chance
+        draws = jax.random.truncated_normal(jax.random.key(3), -4.0, 4.0, k.shape, float)
+        np.testing.assert_allclose((k - 1.0) / 0.1, draws / truncnorm(-4, 4).std(), atol=1e-12)
 
 
 def test_a_seed_is_one_chain_whatever_the_disorder_and_the_neighbours():
