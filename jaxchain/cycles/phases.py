@@ -358,9 +358,9 @@ class Phases(AbstractOrbit, eqx.Module):
             right = right.at[1, j].set(1.0 / self._scale(u))
             along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
             rho = 1.0 - along / arriving
-        forward = jnp.sign(field.belt_speed)
+        forward = jnp.sign(field.belt_speed_at(0.0))
         speed = forward * u[j] if self.slips else jnp.inf * period
-        below = forward * (field.belt_speed - u[j])
+        below = forward * (field.belt_speed_at(0.0) - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
         matrix = self._monodromy(u, slopes)
         rest = matrix, _multipliers(matrix), jnp.nan * period, error, amplitude
@@ -652,7 +652,7 @@ def slip_phases(
 ) -> tuple[Phases, Float[Array, " m"]]:
     """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
     # `jnp` would trace it in `jit`
-    mode = (-float(np.sign(chain.belt_speed)),) * state[0].shape[0]
+    mode = (-float(np.sign(chain.belt_speed_at(0.0))),) * state[0].shape[0]
     special = (0, "grazing", 0.0) if grazes else None
     phases = phases_from(chain, [mode], [("peak", mass, 0.0)], special, len(state))
     return phases, jnp.append(jnp.concatenate(state), period)

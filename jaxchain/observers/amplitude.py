@@ -8,7 +8,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_one_of, check_positive_number, check_whole, to_float
 from .._internals import unvmap_any
@@ -204,12 +204,12 @@ class Amplitude(AbstractObserver):
 
 
 def amplitude_variables(
-    amplitude: Float[Array, "*batch n"], belt_speed: ArrayLike | None
+    amplitude: Float[Array, "*batch n"], belt_speed: Any
 ) -> dict[str, Variable]:
     """Amplitudes, their energy and the number of vibrating masses, as variables of a dataset.
 
     **Arguments:** `belt_speed`, one number or one for each state of a batch; None without a belt,
-    where it is unknown which masses vibrate on their own.
+    or a function of time: then it is unknown which masses vibrate on their own.
 
     **Returns:** variables with the dimensions after those of the batch.
     """
@@ -219,7 +219,7 @@ def amplitude_variables(
         ),
         "energy": Variable(energy(amplitude), (), "x0^2", "vibration energy E = 1/2 sum A_n^2"),
     }
-    if belt_speed is not None:
+    if belt_speed is not None and not callable(belt_speed):
         vibrate = jnp.sum(active(amplitude, belt_speed), axis=-1)
         variables["active_count"] = Variable(
             vibrate, (), "1", "masses with A_n > |v_d| / 2", is_count=True

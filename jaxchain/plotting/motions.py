@@ -232,6 +232,8 @@ def _belt(model: Any, states: tuple[np.ndarray, ...], part: Any, factor: float) 
     """The belt speed in a picture of the velocity of a contact."""
     if model is None or not model.frictional or part is not states[model.contact]:
         return None
+    if model.moving_belt:
+        return None
     return factor * float(model.belt_speed)
 
 

@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from witnesses.driven import run
 
-from jaxchain import Coulomb, StaticKinetic, StickTime, find_limit_cycle, simulate
+from jaxchain import (
+    Amplitude,
+    Coulomb,
+    StaticKinetic,
+    StickTime,
+    continue_cycle,
+    find_limit_cycle,
+    simulate,
+    sweep,
+)
 from jaxchain.model import MechanicalCells, Table
 
 LAW = StaticKinetic(1.1, 0.7)
@@ -124,6 +133,40 @@ def test_a_periodic_load_has_cycles_of_its_period():
     np.testing.assert_allclose(end, y, atol=1e-8)
     with pytest.raises(ValueError, match=r"depend on time.*`forcing_period`"):
         find_limit_cycle(one(normal_load=load), start)
+
+
+def moving() -> MechanicalCells:
+    return MechanicalCells(
+        1.0, damping=0.1, friction=Coulomb(0.3), force=lambda t: 1.2 * jnp.cos(2 * t),
+        frequency=2.0, normal_load=lambda t: 1.0 + 0.5 * jnp.cos(2 * t),
+        belt_speed=lambda t: 0.1 * jnp.sin(2 * t),
+    )  # fmt: skip
+
+
+MOVING_START = jnp.array([0.3]), jnp.array([0.1])
+
+
+def test_a_sweep_of_what_moves_is_its_runs():
+    cells, watch = moving(), (Amplitude(5.0), StickTime())
+    data = sweep(cells, MOVING_START, 20.0, over={"damping": [0.1, 0.2]}, observe=watch)
+    assert "active_count" not in data  # it is not known what is fast
+    single = simulate(cells.with_(damping=0.2), MOVING_START, 20.0, observe=watch)
+    np.testing.assert_allclose(data.amplitude[1], single.observed[0], rtol=1e-12)
+
+
+@pytest.mark.long
+def test_branches_and_smoothed_runs_of_what_moves():
+    """The branch is that of single searches."""
+    cells = moving()
+    smoothed = simulate(cells.with_(width=1e-4), MOVING_START, 20.0, rtol=1e-8)
+    dry = simulate(cells, MOVING_START, 20.0)
+    np.testing.assert_allclose(smoothed.state, dry.state, atol=1e-3)
+    cycle = find_limit_cycle(cells, MOVING_START)
+    branch = continue_cycle(cycle, parameter="damping", bounds=(0.1, 0.3), max_points=4)
+    last = cells.with_(damping=branch.parameter[-1])
+    again = find_limit_cycle(last, tuple(jnp.asarray(part[-1]) for part in branch.state))
+    assert branch.parameter[-1] > 0.1
+    np.testing.assert_allclose(again.amplitude, branch.amplitude[-1], atol=1e-8)
 
 
 def test_a_table_is_the_curve_through_its_points():
