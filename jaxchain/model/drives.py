@@ -149,7 +149,7 @@ class Table(PrintedAsCall, eqx.Module):
         return self.values[jnp.clip(i, 0, size - 1) if self.period is None else i % size]
 
     def _slope(self, i: Any) -> Any:
-        """Of the parabola through three neighbours; at an end that of the chord."""
+        """The slope of the parabola through three neighbours; at an end, of the chord."""
         before, here, after = (self._time(i + k) for k in (-1, 0, 1))
         low, middle, high = (self._value(i + k) for k in (-1, 0, 1))
         h, g = here - before, after - here
@@ -175,4 +175,4 @@ class OfTime(PrintedAsCall, eqx.Module):
 
 def takes_state(function: Any) -> bool:
     """Whether a load is a function (t, q, v), not of time alone."""
-    return len(signature(function).parameters) > 1
+    return sum(p.default is p.empty for p in signature(function).parameters.values()) > 1

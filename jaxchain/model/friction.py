@@ -197,6 +197,7 @@ class AbstractFrictionLaw(AbstractFriction):
     mu_static: eqx.AbstractVar[PerMass]
     """Friction at rest, at least mu(0): a sticking mass holds while |force| <= mu_static."""
     _continuous: ClassVar[bool] = False  # whether mu(0) is `mu_static` by the formula
+    _falls: ClassVar[bool] = False  # whether friction is meant to fall at a release
 
     @property
     def knots(self) -> ArrayLike | Sequence[float] | None:
@@ -442,6 +443,7 @@ class StaticKinetic(AbstractFrictionLaw):
         [0.6]
     """
 
+    _falls = True
     mu_static: PerMass = eqx.field(converter=_number("mu_static"))
     mu_kinetic: PerMass = eqx.field(converter=_number("mu_kinetic"))
 
@@ -513,7 +515,7 @@ class TanhFriction(AbstractFriction):
         check_per_mass(mu_static=self.law.mu_static, width=self.width)
         check_numbers({"width": self.width})
         drop = self.law.drop()
-        falls = isinstance(self.law, StaticKinetic) if is_traced(drop) else drop is not None
+        falls = self.law._falls if is_traced(drop) else drop is not None
         if falls and (is_traced(drop) or np.any(drop > _JUMP * np.max(self.law.mu_static))):
             raise ValueError(
                 "Argument `width` smooths friction around rest, but this law falls there from "

@@ -513,9 +513,9 @@ class MechanicalCells(AbstractCells):
         return row._replace(sign=signs.get(name, row.sign))
 
     def static_limit(self) -> PerMass:
-        """p mu_st, the greatest friction on a sticking mass; at t = 0 and rest if p varies."""
-        rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
-        return self.load_at(jnp.zeros(()), rest) * self.law.mu_static
+        """p mu_st, the greatest friction on a sticking mass; of the nominal load if p varies."""
+        load = self.natural_scales()[2] if self.varying_load else self.normal_load
+        return load * self.law.mu_static
 
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
@@ -556,7 +556,10 @@ class MechanicalCells(AbstractCells):
         return self.law, 1.0, self.belt_speed_at(jnp.zeros(())), self.natural_scales()[1]
 
     def natural_scales(self) -> tuple[Any, Any, Any]:
-        """(1 / sqrt(b_u K_uu), P sqrt(b_u / K_uu), P) with the greatest load P."""
+        """(1 / sqrt(b_u K_uu), P sqrt(b_u / K_uu), P) with the greatest load P.
+
+        Of a load that varies P is its value at t = 0 and rest, or 1 if that is 0.
+        """
         if self.friction is None:
             return super().natural_scales()
         u = self.sliding
@@ -564,7 +567,8 @@ class MechanicalCells(AbstractCells):
         stiffness: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
         stiffness = jnp.where(stiffness > 0, stiffness, 1.0)
         share: Any = self.compliance()[u]
-        load = 0.0 if self.varying_load else jnp.max(self.normal_load)
+        rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
+        load = jnp.max(self.load_at(jnp.zeros(()), rest))
         load = jnp.where(load > 0, load, 1.0)
         time = 1.0 / jnp.sqrt(jnp.min(share * stiffness))
         return time, load * jnp.sqrt(jnp.max(share / stiffness)), load

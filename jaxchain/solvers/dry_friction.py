@@ -88,7 +88,8 @@ def scaled_force(chain: Dry, t: Any, y: State) -> Array:
     r = free_force(chain, t, y)
     if not chain.varying_load:
         return r
-    return r * (chain.static_limit() / (chain.load_at(t, y) * chain.law.mu_static))
+    limit = chain.load_at(t, y) * chain.law.mu_static
+    return r * (chain.static_limit() / jnp.where(limit > 0, limit, 1.0))  # 0: it has lifted off
 
 
 def friction_at_rest(chain: Dry, t: Any, y: State, direction: Array) -> Array:
@@ -188,7 +189,7 @@ def expand(
     free = _free_series(chain, t, x, v, choices)
     if chain.varying_load:
         load = _load_series(cast(MechanicalCells, chain), t, x, v, choices)
-        # p mu, of which p is in no factor.
+        # p mu; with a constant load p is a factor of its own.
         friction = PowerSeries(lambda k: sum(load[j] * mu[k - j] for j in range(k + 1)))
         hold = PowerSeries(lambda k: load[k] * law.mu_static * (1.0 + _SLACK))
         factor: Any = 1.0

@@ -79,7 +79,7 @@ def test_the_width_beyond_which_vibration_sets_in_gently():
 
 
 def test_a_single_mass_without_damping_leaves_no_highest_speed(monkeypatch):
-    """A fold and a Hopf speed by hand; the compiled program is that of this test alone."""
+    """A fold and a Hopf speed made by hand; only this test compiles this program."""
     plain: Any = inspect.unwrap(ranges._range)
     by_hand = jnp.asarray(1.5), jnp.asarray(-2.0), SearchResult.successful
     monkeypatch.setattr(ranges, "fold_speed_and_peak", lambda chain, mass: by_hand)

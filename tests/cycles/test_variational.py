@@ -38,7 +38,7 @@ def test_the_last_step_moves_with_the_time_and_all_others_with_state_and_paramet
 
 
 def test_a_part_of_a_period_has_the_matrix_and_the_trace_of_the_whole():
-    """Of a ring of equal masses, of which any state serves: exp(J T), and tr J times T."""
+    """A linear ring, at any state: exp(J T), and tr J times T."""
     x, v = jnp.array([[0.3, -0.2, 0.7, 0.1], [0.0, 0.5, -0.4, 0.2]])
     ring = LinearRing(
         damping=jnp.full(4, 0.05), stiffness=jnp.ones(4),

@@ -154,9 +154,19 @@ def test_a_sweep_of_what_moves_is_its_runs():
     np.testing.assert_allclose(data.amplitude[1], single.observed[0], rtol=1e-12)
 
 
+def test_a_number_in_a_default_is_no_state():
+    """`lambda t, k=k: ...` is a function of time alone; a nominal load of 0 has no limit 0."""
+    cells = one(normal_load=lambda t, k=0.5: k + 0.0 * t)
+    start = jnp.array([0.3]), jnp.array([0.1])
+    expected = simulate(one(normal_load=0.5), start, 5.0).state
+    np.testing.assert_allclose(simulate(cells, start, 5.0).state, expected, atol=1e-9)
+    lifts = CASES["lift-off"][0]
+    assert float(lifts.static_limit()) > 0.0
+
+
 @pytest.mark.long
 def test_branches_and_smoothed_runs_of_what_moves():
-    """The branch is that of single searches."""
+    """The branch agrees with single searches."""
     cells = moving()
     smoothed = simulate(cells.with_(width=1e-4), MOVING_START, 20.0, rtol=1e-8)
     dry = simulate(cells, MOVING_START, 20.0)
@@ -177,7 +187,7 @@ def test_a_table_is_the_curve_through_its_points():
     linear = jax.vmap(Table(t, values, kind="linear"))(at)
     for i in range(2):
         np.testing.assert_allclose(linear[:, i], np.interp(at, t, values[:, i]), atol=1e-14)
-    # A parabola is its own, but beside the ends, where the slope is that of the chord.
+    # It reproduces a parabola, except beside the ends, where it takes the slope of the chord.
     bent = lambda s: 1.0 - 2.0 * s + 0.7 * s**2  # noqa: E731
     inside = rng.uniform(t[1], t[-2], 40)
     np.testing.assert_allclose(jax.vmap(Table(t, bent(t)))(inside), bent(inside), atol=1e-13)
