@@ -49,6 +49,8 @@ Parts = tuple[Float[Array, " n"], ...]
 # Matrices up to this size are written out entry by entry, so that no zero is multiplied; more
 # entries would take minutes to compile (24 displacements 6), and are arrays.
 _WRITTEN_OUT = 6
+# Shares of a period at which a drive is compared with the next period.
+_INSIDE = (0.13, 0.37, 0.81)
 # One number, (d,) for a diagonal, (d, d), or (n, d, d) for a matrix of each cell.
 Matrix = Float[Array, "..."]
 
@@ -351,16 +353,16 @@ class MechanicalCells(AbstractCells):
     def _check_drives(self) -> None:
         """Raises `ValueError` for a function of time that returns something else than forces."""
         zero, rest = jnp.zeros(()), (jnp.zeros(self.n or 1),) * (2 * self.d)
-        calls = {
-            "belt_speed": lambda: self.belt_speed_at(zero),
-            "normal_load": lambda: self.load_at(zero, rest),
-            "force": lambda: self._drive_at(zero),
+        calls_at = {
+            "belt_speed": self.belt_speed_at,
+            "normal_load": lambda t: self.load_at(t, rest),
+            "force": self._drive_at,
         }
-        for name, call in calls.items():
+        for name, call in calls_at.items():
             if not callable(getattr(self, name)):
                 continue
             try:
-                found = jax.eval_shape(call)
+                found = jax.eval_shape(call, zero)
                 good = name == "force" or found.shape in ((), (self.n or 1,))
             except (TypeError, ValueError, IndexError) as error:
                 found, good = error, False
@@ -372,6 +374,26 @@ class MechanicalCells(AbstractCells):
                     "force": f"a function (t) that returns one force, or {self.d}",
                 }[name]
                 raise ValueError(f"Argument `{name}` must be {wanted}, but gives {shown(found)}.")
+            if self.frequency is None or is_traced(self.frequency, getattr(self, name)):
+                continue
+            period = 2.0 * np.pi / float(self.frequency)
+            with jax.ensure_compile_time_eval():
+                ends = [
+                    [np.asarray(part) for part in jax.tree.leaves(calls_at[name](now))]
+                    for share in _INSIDE
+                    for now in (share * period, (share + 1.0) * period)
+                ]
+            pairs = zip(ends[::2], ends[1::2], strict=True)
+            if not all(
+                np.allclose(a, b, 1e-6, 1e-9)
+                for one, two in pairs
+                for a, b in zip(one, two, strict=True)
+            ):
+                raise ValueError(
+                    f"Argument `frequency` = {float(self.frequency):g} must be that of all "
+                    f"drives, but `{name}` has not the period 2 pi / omega = {period:g}: give "
+                    "the right one, or none for a run."
+                )
 
     def _check_law(self, name: str, law: Any, arguments: str, *parts: Parts) -> None:
         """Raises `ValueError` unless the law returns a force for each displacement."""

@@ -239,6 +239,7 @@ def test_a_table_is_read_from_a_file(tmp_path):
         (lambda: one(force=lambda t: jnp.ones(3)), "`force` must be a function .t. that returns"),
         (lambda: one(normal_load=lambda t: "x"), "`normal_load` must be a function .t. or .t, q"),
         (lambda: one(belt_speed=lambda: 1.0), "`belt_speed` must be a function .t. that returns"),
+        (lambda: one(frequency=2.0, force=jnp.cos), "`frequency` = 2 must be that of all drives"),
         (lambda: one(frequency=2.0), "`force` and `frequency` belong together"),
         (lambda: Table([0.0, 0.0], [1.0, 2.0]), "`t` must rise, but 0 is followed by 0"),
         (lambda: Table([0.0, 1.0], [1.0]), "as many times as values"),
