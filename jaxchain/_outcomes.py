@@ -45,5 +45,15 @@ ADVICE = {
         "This run has not been computed yet: the sweep of this store is under way or was "
         "interrupted. Repeat the call, or use `jaxchain resume`."
     ),
+    "forces_not_unique": (
+        "Contacts that stick hold the same displacements twice, so that the forces of each do not "
+        "follow from the equations: rigid bodies have many solutions there. Leave out one of the "
+        "contacts, or put a spring or a displacement between them."
+    ),
+    "bounces_accumulate": (
+        "A mass bounces on a stop infinitely often in a finite time and comes to rest there: the "
+        "event-driven run ends. Use an elastic stop, a `local_force` that grows beyond the "
+        "gap, or a restitution nearer to 1."
+    ),
 }
 WELL = ("successful", "quiet", "steady")

@@ -63,6 +63,8 @@ class Result(eqx.Enumeration, metaclass=_Outcomes):
     interrupted = ADVICE["interrupted"]
     bad_span = ADVICE["bad_span"]
     pending = ADVICE["pending"]
+    forces_not_unique = ADVICE["forces_not_unique"]
+    bounces_accumulate = ADVICE["bounces_accumulate"]
 
 
 class SearchResult(eqx.Enumeration, metaclass=_Outcomes):

@@ -40,7 +40,7 @@ from ..model.arguments import as_model, as_parameter, as_state
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
 from ..result import Outcome, SearchResult, is_one
-from ..solvers.dry_friction import BACKWARD, FORWARD, STICK, free_force, motion
+from ..solvers.dry_friction import BACKWARD, FORWARD, STICK, free_force, motion, nominal_limit
 
 # Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
 _ON_AXIS = 1e-6
@@ -179,7 +179,7 @@ def _balance(u: Array, args: tuple[Rates, Array]) -> Array:
     rates, given = args
     field: Any = rates.field
     y, parts = jnp.split(u, rates.m), jnp.split(rates(u), rates.m)
-    r, limit = free_force(field, 0.0, tuple(y)), field.static_limit()
+    r, limit = free_force(field, 0.0, tuple(y)), nominal_limit(field)
     moved = jnp.clip(y[field.contact - rates.m // 2] - given, -limit - r, limit - r)
     parts[field.contact] = jnp.where(rates.direction == STICK, moved, parts[field.contact])
     return jnp.concatenate(parts)

@@ -56,7 +56,10 @@ from ..solvers.dry_friction import (
     RESOLUTION,
     STICK,
     Dry,
+    alone,
+    modes_at,
     motion,
+    nominal_limit,
     rates,
     scaled_force,
     slip_speed,
@@ -219,9 +222,9 @@ class Phases(AbstractOrbit, eqx.Module):
         """(`residual`, (margins, error))."""
         field, state, period = self.unpack(u, *parameter)
         durations, d = u[-len(self.events) :], self.m * self.n
-        limit = jnp.broadcast_to(field.static_limit(), (self.n,))
+        limit = jnp.broadcast_to(nominal_limit(field), (self.n,))
         modes = jnp.asarray(self.modes, float)
-        scale = 1.0 + jnp.abs(field.belt_speed_at(0.0))
+        scale = 1.0 + jnp.abs(_belts(field, self.n))
         begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
 
         def parts(z: Array) -> tuple[Array, State]:
@@ -350,17 +353,18 @@ class Phases(AbstractOrbit, eqx.Module):
         rho = jnp.nan * period
         if self.slips and parameter:
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
-            cut = jax.jacfwd(lambda z: z[j] - self.unpack(u, *z[u.size :])[0].belt_speed_at(0.0))(
-                z
-            )
+            cut = jax.jacfwd(
+                lambda z: z[j] - _belts(self.unpack(u, *z[u.size :])[0], self.n)[self.mass]
+            )(z)
             square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
             right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0)
             right = right.at[1, j].set(1.0 / self._scale(u))
             along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
             rho = 1.0 - along / arriving
-        forward = jnp.sign(field.belt_speed_at(0.0))
+        belt = _belts(field, self.n)[self.mass]
+        forward = jnp.sign(belt)
         speed = forward * u[j] if self.slips else jnp.inf * period
-        below = forward * (field.belt_speed_at(0.0) - u[j])
+        below = forward * (belt - u[j])
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
         matrix = self._monodromy(u, slopes)
         rest = matrix, _multipliers(matrix), jnp.nan * period, error, amplitude
@@ -567,11 +571,25 @@ class Cuts(AbstractSection):
         return last
 
 
+def _belts(model: Any, n: int) -> Array:
+    """v_d of each mass, at the time 0."""
+    return jnp.broadcast_to(model.frictional_contacts[0].speed_at(0.0), (n,))
+
+
 def slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
-    """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st."""
-    mu = model.law.coefficient(jnp.abs(slip_speed(model, t, y)))
-    free, backward = model.accelerations(t, y), -model.belt_direction()
-    return rates(model, t, y, free, mu, backward)[model.contact - len(free)]
+    """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st.
+
+    Of several contacts the first slides behind, and the others as they do; without any it is the
+    acceleration of the first displacement.
+    """
+    backward, u = -model.belt_direction(), model.contact - len(y) // 2
+    if not alone(model):
+        modes = modes_at(model, t, y)
+        modes = modes.at[: y[0].size].set(backward) if modes.size else modes
+        return motion(model, t, y, modes)[len(y) // 2 + u]
+    (contact,) = model.frictional_contacts
+    mu = contact.law.coefficient(jnp.abs(slip_speed(model, t, y)))
+    return rates(model, t, y, model.accelerations(t, y), mu, backward)[u]
 
 
 class DryRun(eqx.Module):
@@ -652,7 +670,8 @@ def slip_phases(
 ) -> tuple[Phases, Float[Array, " m"]]:
     """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
     # `jnp` would trace it in `jit`
-    mode = (-float(np.sign(chain.belt_speed_at(0.0))),) * state[0].shape[0]
+    belts = np.asarray(chain.frictional_contacts[0].speed_at(0.0))
+    mode = tuple((-np.sign(belts) * np.ones(state[0].shape[0])).tolist())
     special = (0, "grazing", 0.0) if grazes else None
     phases = phases_from(chain, [mode], [("peak", mass, 0.0)], special, len(state))
     return phases, jnp.append(jnp.concatenate(state), period)
@@ -665,15 +684,21 @@ def phases_of(
 
     `kind` and `mass` of the special event: it is put at the peak, turn or landing closest to one.
 
-    **Raises:** `ValueError` if the cycle has none.
+    **Raises:** `ValueError` if the cycle has none, or cells have several contacts or stops.
     """
+    if not alone(chain):
+        raise ValueError(
+            "Argument `model` must have cells with one contact and without stops, because the "
+            "branches of dry cycles follow the events of that one: find the cycle at one value "
+            "after the other, each from the one before, by `find_limit_cycle(model, guess=...)`."
+        )
     times = np.linspace(0.0, float(period), _SAMPLES + 1)
     run = simulate(
         chain, state, period, observe=Trajectory(jnp.asarray(times)), solver=EventDriven()
     )
     samples = [np.asarray(part)[:-1] for part in run.observed]
     unit = float(chain.natural_scales()[1])
-    still = 10 * RESOLUTION * (unit + abs(float(chain.belt_speed_at(0.0))))
+    still = 10 * RESOLUTION * (unit + np.abs(np.asarray(_belts(chain, state[0].shape[0]))))
     w = np.asarray(jax.vmap(lambda t, *y: slip_speed(chain, t, y))(times[:-1], *samples))
     modes = np.where(np.abs(w) <= still, STICK, np.sign(w))
     r = np.asarray(jax.vmap(lambda t, *y: scaled_force(chain, t, y))(times[:-1], *samples))
@@ -685,7 +710,7 @@ def phases_of(
     special = None
     if kind is not None or not events:  # a slip cycle is cut at a peak
         special = _closest(
-            kind or "grazing", mass, events, modes, w, r, np.asarray(chain.static_limit())
+            kind or "grazing", mass, events, modes, w, r, np.asarray(nominal_limit(chain))
         )
         if kind is None or kind in _TOUCHES:
             events = sorted([*events, special])

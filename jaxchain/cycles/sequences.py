@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from ..continuation.branch import SpecialPoint
 from ..kinds.changes import Change
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_friction import STICK, motion, scaled_force, slip_speed
+from ..solvers.dry_friction import STICK, motion, nominal_limit, scaled_force, slip_speed
 from .orbit import Start
 from .phases import Phases, phases_from, phases_of
 
@@ -107,8 +107,8 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
     field, state, _ = orbit.unpack(u, p)
     d, k, n = orbit.m * orbit.n, len(orbit.events), orbit.n
     begin = u[d] if orbit.forcing_periods is not None else jnp.zeros(())
-    limit = jnp.broadcast_to(field.static_limit(), (n,))
-    scale = 1 + jnp.abs(field.belt_speed_at(0.0))
+    limit = jnp.broadcast_to(nominal_limit(field), (n,))
+    scale = 1 + jnp.abs(field.frictional_contacts[0].speed_at(0.0))
 
     def phase(z: Array, given: tuple[Array, Array]) -> tuple[Array, _Along]:
         mode, duration = given
@@ -476,7 +476,7 @@ def _with_onsets(
     orbit: Phases, parts: list[_Part], at: _Along
 ) -> Iterator[tuple[str, _Sequence, _Sequence]]:
     """With a short stick after a landing, or a short slip before it sticks."""
-    limit = np.broadcast_to(np.asarray(orbit.field.static_limit()), orbit.n)
+    limit = np.broadcast_to(np.asarray(nominal_limit(orbit.field)), orbit.n)
     new: list[_Part] = []
     exact, alike, first = [*parts], set(), True
     for k, part in enumerate(parts):

@@ -97,7 +97,7 @@ def mistuned_chain(
     >>> mistuned_chain(paper_chain(4), seed=1, disorder=0.05).stiffness.shape
     (4,)
     """
-    factor = mistuned_stiffness(seed, as_chain(chain).n, disorder, distribution)
+    factor = mistuned_stiffness(seed, as_chain(chain, belts=True).n, disorder, distribution)
     return chain.with_(stiffness=chain.stiffness * factor)
 
 
@@ -173,7 +173,7 @@ def linear_modes(chain: Given[Chain]) -> LinearModes:
     >>> [round(float(linear_modes(c).participation_ratio.mean())) for c in (tuned, mistuned)]
     [14, 1]
     """
-    return _modes(as_chain(chain))
+    return _modes(as_chain(chain, belts=True))
 
 
 @eqx.filter_jit  # one small program instead of a dozen

@@ -2,6 +2,8 @@ from .cells import AbstractCells as AbstractCells
 from .chain import Chain as Chain
 from .chain import paper_chain as paper_chain
 from .chain import steady_sliding as steady_sliding
+from .contacts import Contact as Contact
+from .contacts import Stop as Stop
 from .drives import Table as Table
 from .friction import AbstractFrictionLaw as AbstractFrictionLaw
 from .friction import Coulomb as Coulomb

@@ -39,9 +39,16 @@ def as_model(
     return model
 
 
-def as_chain(chain: Any, remedy: str = "", name: str = "chain") -> Chain:
-    """The chain, or `ValueError` for anything else."""
-    return as_model(chain, Chain, remedy, name)
+def as_chain(chain: Any, remedy: str = "", name: str = "chain", belts: bool = False) -> Chain:
+    """The chain, or `ValueError` for anything else, and unless `belts` for several belt speeds."""
+    chain = as_model(chain, Chain, remedy, name)
+    if chain.belt_speed.ndim and not belts:
+        raise ValueError(
+            f"Argument `{name}` must have one belt speed here, but has one for each mass: use "
+            "`chain.with_(belt_speed=1.5)`, or follow a cycle of `find_limit_cycle` in another "
+            "parameter."
+        )
+    return chain
 
 
 def as_state(

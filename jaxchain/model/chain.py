@@ -25,6 +25,7 @@ from .._checks import (
 from .._computed_once import spread
 from .._final import final
 from .._types import PerMass, ScalarLike, State
+from .contacts import Contact, Stop
 from .entries import with_entries
 from .friction import (
     AbstractFriction,
@@ -74,7 +75,8 @@ class Chain(AbstractOscillators):
     - `n`: number of masses.
     - `friction`: a dry friction law such as `ExponentialDecay(...)`, or a smoothed one,
       `TanhFriction(law, width)`.
-    - `belt_speed`: v_d; negative for a belt that runs the other way.
+    - `belt_speed`: v_d; negative for a belt that runs the other way; one number, or shape (n,) for
+      a belt under each mass, whose speeds searches over belt speeds do not know.
     - `damping_ratio`: xi, one number or shape (n,).
     - `coupling`: eta_c.  None: no springs between masses.  A number: equal springs.  An array: one
       constant per spring (n springs in a ring, n - 1 with free ends; spring i joins masses i and i
@@ -138,14 +140,14 @@ class Chain(AbstractOscillators):
             None if coupling is None else Springs(chain_number("coupling", coupling), kind)
         )
         springs = self.n if ends == "cyclic" else self.n - 1
-        counts = {"chain": None, "mass": self.n, "spring": springs}
+        counts = {"mass": self.n, "spring": springs}
         for name, value in {**_chain_numbers(self), **self.friction.parameters()}.items():
             per, shape = parameter(name).per, np.shape(value)  # () for None
             if shape not in ((), (counts[per],)):
-                several = "" if per == "chain" else f" or one per {per}, of shape ({counts[per]},)"
                 raise ValueError(
-                    f"Argument `{name}` must be one number{several}, but has shape {shape}: the "
-                    f"chain has {self.n} masses and {ends} ends; `jax.vmap` or `sweep` run many."
+                    f"Argument `{name}` must be one number or one per {per}, of shape "
+                    f"({counts[per]},), but has shape {shape}: the chain has {self.n} masses and "
+                    f"{ends} ends; `jax.vmap` or `sweep` run many."
                 )
 
     @classmethod
@@ -244,17 +246,10 @@ class Chain(AbstractOscillators):
         """p: one number or one per mass, 1 where none is given."""
         return jnp.ones(()) if self.normal_load is None else self.normal_load
 
-    moving_belt = varying_load = False
-
-    def belt_speed_at(self, t: Any) -> Any:
-        """v_d, which does not change."""
-        del t
-        return self.belt_speed
-
-    def load_at(self, t: Any, y: State) -> Any:
-        """p, which does not change."""
-        del t, y
-        return self.load
+    @property
+    def frictional_contacts(self) -> tuple[Contact, ...]:
+        """The contact of a mass with the belt."""
+        return (Contact((1.0,), self.friction, self.load, self.belt_speed),)
 
     def parameter(self, name: str) -> Parameter:
         """Words, symbol, unit and domain; of a parameter of your own law the name alone."""
@@ -318,8 +313,8 @@ class Chain(AbstractOscillators):
         return steady_sliding(self)
 
     def belt_direction(self) -> ScalarLike:
-        """The sign of v_d; 1 for v_d = 0."""
-        return jnp.where(self.belt_speed < 0, -1.0, 1.0)
+        """The sign of v_d, of several that of the first mass; 1 for v_d = 0."""
+        return jnp.where(jnp.ravel(self.belt_speed)[0] < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass:
         """The speed of greatest friction, up to which a mass sticks; 0 with dry friction."""
@@ -366,9 +361,9 @@ class Chain(AbstractOscillators):
         if self.springs is not None:
             stiffest = stiffest + self.springs.strength(n)  # Gershgorin's bound
         frequency = jnp.sqrt(jnp.max(stiffest))
-        mu = jax.vmap(lambda share: self.law.coefficient(jnp.full(n, share * belt)))(_SHARES)
+        mu = jax.vmap(lambda share: self.law.coefficient(share * belt * jnp.ones(n)))(_SHARES)
         mu = jnp.maximum(_BETWEEN * jnp.max(mu, axis=0), self.law.mu_static)
-        work = belt * jnp.sum(self.load * mu * jnp.ones(n))
+        work = jnp.sum(belt * self.load * mu * jnp.ones(n))
         damping = 2.0 * jnp.min(self.damping_ratio)
         slow = damping * jnp.max(speed**2) <= period * frequency * work
         long = period * frequency >= (1.0 - _ROUNDING) * 2.0 * jnp.pi
@@ -379,8 +374,9 @@ class Chain(AbstractOscillators):
         del t
         return (self.free_force(*y),)
 
-    def compliance(self) -> list[Any]:
+    def inverse_mass(self, touch: Contact | Stop) -> list[Any]:
         """The acceleration by a unit force at the contact."""
+        del touch
         return [1.0]
 
     def growth_time(self) -> ScalarLike:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from inspect import signature
 from pathlib import Path
+from types import CellType, FunctionType
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import jax.tree_util as jtu
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -16,7 +21,10 @@ from .._checks import (
     check_kind,
     check_one_of,
     check_positive_number,
+    closed_over,
     is_traced,
+    optional,
+    shown,
     to_float,
 )
 from .._printing import PrintedAsCall
@@ -176,3 +184,101 @@ class OfTime(PrintedAsCall, eqx.Module):
 def takes_state(function: Any) -> bool:
     """Whether a load is a function (t, q, v), not of time alone."""
     return sum(p.default is p.empty for p in signature(function).parameters.values()) > 1
+
+
+def as_function(name: str) -> Callable[[Any], Any]:
+    """The converter of a law to a pytree."""
+
+    def convert(function: Any) -> Any:
+        wanted = "None, or a function of parts of a state that returns forces"
+        check_kind(name, function, Callable | None, wanted)
+        known = isinstance(function, eqx.Module | jtu.Partial | None)
+        return function if known else _with_closure(function)
+
+    return convert
+
+
+def as_drive(name: str) -> Callable[[Any], Any]:
+    """The converter of a number, an array, or a function of time, which becomes a pytree."""
+
+    def convert(value: Any) -> Any:
+        if not callable(value):
+            return optional(name)(value)
+        function = as_function(name)(value)
+        return function if name != "normal_load" or takes_state(value) else OfTime(function)
+
+    return convert
+
+
+def _with_closure(function: Any, seen: tuple[Any, ...] = ()) -> jtu.Partial:
+    """The function, with whatever traced it closes over, or has as default, as leaves.
+
+    Searches treat a model as constant and attach derivatives in its leaves: what they do not see
+    has none.
+    """
+    if isinstance(function, partial):
+        inner, owned = _with_closure(function.func, seen), (function.args, function.keywords)
+        if not is_traced(inner, owned):  # the same object is the same program
+            return jtu.Partial(function)
+        return jtu.Partial(lambda f, owned, *a: f(*owned[0], *a, **owned[1]), inner, owned)
+    if not isinstance(function, FunctionType):
+        return jtu.Partial(function)
+    seen = (*seen, function)
+
+    def inside(content: Any) -> Any:
+        further = isinstance(content, FunctionType | partial) and content not in seen
+        return _with_closure(content, seen) if further else content
+
+    owned = closed_over(function), function.__defaults__, function.__kwdefaults__
+    leaves, treedef = jtu.tree_flatten(jax.tree.map(inside, owned))
+    traced = [k for k, leaf in enumerate(leaves) if is_traced(leaf)]
+    if not traced:
+        return jtu.Partial(function)
+    others = [None if is_traced(leaf) else leaf for leaf in leaves]
+    own = function.__code__, function.__globals__, function.__name__
+
+    def rebuilt(numbers: list[Array], *arguments: Any) -> Any:
+        both = dict(enumerate(others)) | dict(zip(traced, numbers, strict=True))
+        contents, defaults, keywords = jtu.tree_unflatten(treedef, both.values())
+        again = FunctionType(*own, defaults, tuple(CellType(content) for content in contents))
+        again.__kwdefaults__ = keywords
+        return again(*arguments)
+
+    return jtu.Partial(rebuilt, [leaves[k] for k in traced])
+
+
+_WANTED = {
+    "belt_speed": "a function (t) that returns one speed, or one for each cell",
+    "normal_load": "a function (t) or (t, q, v) that returns one load, or one for each cell",
+}
+
+
+def check_drive(name: str, drive: Any, call: Callable[[Any], Any], n: int | None) -> None:
+    """Raises `ValueError` for a function that does not return one number, or one for each cell."""
+    if not callable(drive):
+        return
+    try:
+        found = jax.eval_shape(call, jnp.zeros(()))
+        good = found.shape in ((), (n or 1,))
+    except (TypeError, ValueError, IndexError, AttributeError) as error:
+        found, good = error, False
+    if not good:
+        wanted = _WANTED[name.rpartition(".")[2]]
+        raise ValueError(f"Argument `{name}` must be {wanted}, but gives {shown(found)}.")
+
+
+def drive_numbers(name: str, drive: Any) -> dict[str, Array]:
+    """The arrays among the fields of a function that is a module, as "force.amplitude"."""
+    drive = drive.function if isinstance(drive, OfTime) else drive
+    if not isinstance(drive, eqx.Module):
+        return {}
+    return {f"{name}.{k}": a for k, a in vars(drive).items() if eqx.is_inexact_array(a)}
+
+
+def with_number(drive: Any, name: str, value: Array) -> Any:
+    """The function with another of its `drive_numbers`, by the name of the field."""
+
+    def field(drive: Any) -> Any:
+        return getattr(drive.function if isinstance(drive, OfTime) else drive, name)
+
+    return eqx.tree_at(field, drive, value)

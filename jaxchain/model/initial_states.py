@@ -99,7 +99,7 @@ def excited_state(
         >>> print(x.round(3), v)
         [-1.475  0.525  0.525  2.525] [0.5 0.5 0.5 0.5]
     """
-    as_chain(chain)
+    as_chain(chain, belts=True)
     check_one_of("pattern", pattern, ("alternating", "in-phase"))
     check_one_of("block", block, BLOCKS)
     check_flag("mirrored", mirrored)
@@ -190,7 +190,7 @@ def equation_10(
         >>> print(x.round(3), v)
         [ 0.525  0.525 -1.475  2.525] [0.56 0.56 0.56 0.56]
     """
-    as_chain(chain)
+    as_chain(chain, belts=True)
     check_one_of("reading", reading, ("as_printed", "as_equation_8"))
     return excited_state(
         chain, excited, velocity=0.56, block=block, mirrored=reading == "as_printed"
@@ -218,13 +218,14 @@ def on_the_belt(chain: Chain, mass: Given[int | None] = None) -> State:
         >>> print(x.round(3), v)
         [0.525 0.    0.525] [0.  1.5 0. ]
     """
-    return _carried(chain, check_mass(chain, mass))
+    n = as_chain(chain, belts=True).n
+    return _carried(chain, as_mass(n, mass, reference_site(n)))
 
 
 @eqx.filter_jit
 def _carried(chain: Chain, mass: int) -> State:
     x, v = steady_sliding(chain)
-    return x.at[mass].set(0.0), v.at[mass].set(chain.belt_speed)
+    return x.at[mass].set(0.0), v.at[mass].set(jnp.broadcast_to(chain.belt_speed, v.shape)[mass])
 
 
 def release_state(chain: Chain, mass: int) -> State:
@@ -248,7 +249,7 @@ def release_state(chain: Chain, mass: int) -> State:
         >>> print(run.observed.round(3))  # so long until it is let go
         [0.    0.236 0.   ]
     """
-    check_whole("mass", mass, 0, as_chain(chain).n - 1, "it is the index of a mass.")
+    check_whole("mass", mass, 0, as_chain(chain, belts=True).n - 1, "it is the index of a mass.")
     return _released(chain, mass)
 
 
@@ -258,5 +259,6 @@ def _released(chain: Chain, mass: int) -> State:
     unit = jnp.zeros(chain.n).at[mass].set(1.0)
     stiffness = -chain.restoring_force(unit)[mass]
     hold = jnp.broadcast_to(chain.static_limit(), (chain.n,))[mass]
-    reach = 0.5 * jnp.sign(chain.belt_speed) * hold / stiffness
-    return x + unit * (reach - x[mass]), v.at[mass].set(chain.belt_speed)
+    belt = jnp.broadcast_to(chain.belt_speed, v.shape)[mass]
+    reach = 0.5 * jnp.sign(belt) * hold / stiffness
+    return x + unit * (reach - x[mass]), v.at[mass].set(belt)

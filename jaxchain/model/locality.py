@@ -30,6 +30,8 @@ _OWN = "it is known of models of this package only; leave it out."
 _FOLLOWS = "it follows from other methods; leave it out."
 # Names that no subclass can define, with the alternative.
 _OF_ALL = {
+    "frictional_contacts": "contacts are those of `MechanicalCells`; leave them out.",
+    "stops": "stops are those of `MechanicalCells`; leave them out.",
     "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
     "variables": "name the variables of a cell in `components`.",
     **dict.fromkeys(
@@ -57,6 +59,7 @@ FINAL = _OF_ALL | {
     "components": "they are (displacement, velocity); leave it out.",
     "contact": "it is the velocity; leave it out.",
     "layer": "it follows from `switching`; leave it out.",
+    "layers": "they follow from `switching`; leave it out.",
     "ends": "they are those of `springs`; leave it out.",
 }
 # The same for a subclass of `AbstractCells`.
@@ -73,6 +76,7 @@ CELLS_FINAL = _OF_ALL | {
     "structured": "structured solvers apply to all cells; leave it out.",
     "attracts": "it is not known of cells; leave it out.",
     "layer": "it follows from `switching` and `contact`; leave it out.",
+    "layers": "they follow from `switching` and `contact`; leave it out.",
     "stick_speed": "masses that stick are those of a `Chain`; leave it out.",
 }
 

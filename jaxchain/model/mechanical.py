@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import fields
-from functools import partial
-from types import CellType, FunctionType
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, replace
+from functools import reduce
 from typing import Any, get_args
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jax.tree_util as jtu
 import numpy as np
 from jaxtyping import Array, Float
 
 from .._checks import (
     check_finite,
     check_kind,
+    check_known,
     check_nonnegative,
     check_number,
     check_one_of,
     check_per_mass,
     check_positive,
     check_whole,
-    closed_over,
     is_traced,
     named,
     optional,
@@ -35,8 +33,10 @@ from .._final import final
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
 from .cells import AbstractCells
-from .drives import OfTime, takes_state
-from .friction import AbstractFriction, AbstractFrictionLaw, TanhFriction, as_law
+from .contacts import Contact, Stop, along, check_contacts, friction_law
+from .drives import as_drive, as_function, check_drive, drive_numbers, with_number
+from .entries import with_entries
+from .friction import AbstractFriction, AbstractFrictionLaw
 from .parameters import Parameter
 from .springs import Ends
 from .tridiagonal import factor, substitute
@@ -44,6 +44,8 @@ from .tridiagonal import factor, substitute
 # The fields with an entry for each displacement, unless they are one number for all of them.
 _MATRICES = ("stiffness", "mass", "damping", "coupling", "coupling_damping")
 _OF_DISPLACEMENTS = (*_MATRICES, "force")
+# The fields that may be functions; the first two also of a contact.
+_DRIVES = ("normal_load", "belt_speed", "force", "spring", "local_force")
 
 Parts = tuple[Float[Array, " n"], ...]
 # Matrices up to this size are written out entry by entry, so that no zero is multiplied; more
@@ -55,72 +57,21 @@ _INSIDE = (0.13, 0.37, 0.81)
 Matrix = Float[Array, "..."]
 
 
-def _forces(name: str) -> Callable[[Any], Any]:
-    """The converter of a law to a pytree."""
-
-    def convert(function: Any) -> Any:
-        wanted = "None, or a function of parts of a state that returns forces"
-        check_kind(name, function, Callable | None, wanted)
-        known = isinstance(function, eqx.Module | jtu.Partial | None)
-        return function if known else _with_closure(function)
-
-    return convert
-
-
-def _drive(name: str) -> Callable[[Any], Any]:
-    """The converter of a number, an array, or a function of time, which becomes a pytree."""
-
-    def convert(value: Any) -> Any:
-        if not callable(value):
-            return optional(name)(value)
-        function = _forces(name)(value)
-        return function if name != "normal_load" or takes_state(value) else OfTime(function)
-
-    return convert
-
-
-def _with_closure(function: Any, seen: tuple[Any, ...] = ()) -> jtu.Partial:
-    """The function, with whatever traced it closes over, or has as default, as leaves.
-
-    Searches treat a model as constant and attach derivatives in its leaves: what they do not see
-    has none.
-    """
-    if isinstance(function, partial):
-        inner, owned = _with_closure(function.func, seen), (function.args, function.keywords)
-        if not is_traced(inner, owned):  # the same object is the same program
-            return jtu.Partial(function)
-        return jtu.Partial(lambda f, owned, *a: f(*owned[0], *a, **owned[1]), inner, owned)
-    if not isinstance(function, FunctionType):
-        return jtu.Partial(function)
-    seen = (*seen, function)
-
-    def inside(content: Any) -> Any:
-        further = isinstance(content, FunctionType | partial) and content not in seen
-        return _with_closure(content, seen) if further else content
-
-    owned = closed_over(function), function.__defaults__, function.__kwdefaults__
-    leaves, treedef = jtu.tree_flatten(jax.tree.map(inside, owned))
-    traced = [k for k, leaf in enumerate(leaves) if is_traced(leaf)]
-    if not traced:
-        return jtu.Partial(function)
-    others = [None if is_traced(leaf) else leaf for leaf in leaves]
-    own = function.__code__, function.__globals__, function.__name__
-
-    def rebuilt(numbers: list[Array], *arguments: Any) -> Any:
-        both = dict(enumerate(others)) | dict(zip(traced, numbers, strict=True))
-        contents, defaults, keywords = jtu.tree_unflatten(treedef, both.values())
-        again = FunctionType(*own, defaults, tuple(CellType(content) for content in contents))
-        again.__kwdefaults__ = keywords
-        return again(*arguments)
-
-    return jtu.Partial(rebuilt, [leaves[k] for k in traced])
-
-
 class Added(PrintedAsCall, eqx.Module):
     """`factor` times `matrices`, which are added to those of the same names."""
 
     matrices: dict[str, Matrix]
     factor: Array = eqx.field(converter=named("factor"), default=0.0)
+
+
+def _several(name: str) -> Callable[[Any], tuple]:
+    """The converter of a list."""
+
+    def convert(items: Any) -> tuple:
+        check_kind(name, items, Sequence, "a list, such as [Contact(...), Contact(...)]")
+        return tuple(items)
+
+    return convert
 
 
 def _plus(plus: Any) -> dict[str, Added]:
@@ -143,10 +94,6 @@ def _plus(plus: Any) -> dict[str, Added]:
     return added
 
 
-def _friction(friction: Any) -> Any:
-    return as_law(friction) if isinstance(friction, AbstractFrictionLaw) else friction
-
-
 @final
 class MechanicalCells(AbstractCells):
     """Cells of d displacements q with masses, springs, dampers, dry or smoothed friction, forcing.
@@ -163,7 +110,9 @@ class MechanicalCells(AbstractCells):
         sliding   M q'' = h - p mu(|w|) sign(w) e_u,     w = u' - v_d,
         sticking  u'' = 0,    while |r| <= p mu_st,      r = e_u M^{-1} h / (e_u M^{-1} e_u),
 
-    h being all other forces and r the force that holds the mass.
+    h being all other forces and r the force that holds the mass.  Of several `contacts` that stick
+    the forces follow from the linear system that keeps all their w at 0; where it has many
+    solutions, because they hold the same displacements twice, a run ends as `forces_not_unique`.
 
     **Arguments** (dimensionless, or of any system of units):
 
@@ -176,6 +125,8 @@ class MechanicalCells(AbstractCells):
       displacements and d velocities.
     - `friction`: a law of `jaxchain.model` for dry friction, or `TanhFriction`; `belt_speed` = v_d
       and `normal_load` = p >= 0; `sliding`, which displacement slides, counted from 0.
+    - `contacts`: instead of `friction`, a list of `Contact`s, each with its own direction, law,
+      load and belt; `stops`: a list of `Stop`s, rigid ones that the cell bounces off.
     - `force` = f, one number or shape (d,); `frequency` = omega > 0.
     - Instead of a number `force` may be a function of t (or a `Table`) that returns one force or d
       of them, without the cosine; `belt_speed` a function of t; `normal_load` one of t, or of (t,
@@ -228,14 +179,14 @@ class MechanicalCells(AbstractCells):
     mass: Matrix = eqx.field(converter=named("mass"), default=1.0)
     damping: Matrix = eqx.field(converter=named("damping"), default=0.0)
     coupling: Matrix | None = eqx.field(converter=optional("coupling"), default=None)
-    spring: Callable[..., Any] | None = eqx.field(converter=_forces("spring"), default=None)
+    spring: Callable[..., Any] | None = eqx.field(converter=as_function("spring"), default=None)
     local_force: Callable[..., Any] | None = eqx.field(
-        converter=_forces("local_force"), default=None
+        converter=as_function("local_force"), default=None
     )
-    friction: AbstractFriction | None = eqx.field(converter=_friction, default=None)
-    belt_speed: Any = eqx.field(converter=_drive("belt_speed"), default=0.0)
-    normal_load: Any = eqx.field(converter=_drive("normal_load"), default=1.0)
-    force: Any = eqx.field(converter=_drive("force"), default=None)
+    friction: AbstractFriction | None = eqx.field(converter=friction_law, default=None)
+    belt_speed: Any = eqx.field(converter=as_drive("belt_speed"), default=0.0)
+    normal_load: Any = eqx.field(converter=as_drive("normal_load"), default=1.0)
+    force: Any = eqx.field(converter=as_drive("force"), default=None)
     frequency: Array | None = eqx.field(converter=optional("frequency"), default=None)
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
@@ -248,6 +199,8 @@ class MechanicalCells(AbstractCells):
     plus: dict[str, Added] | None = eqx.field(
         converter=lambda plus: None if plus is None else _plus(plus), default=None
     )
+    contacts: tuple[Contact, ...] = eqx.field(converter=_several("contacts"), default=())
+    stops: tuple[Stop, ...] = eqx.field(converter=_several("stops"), default=())
     _symmetric = ("mass",)
 
     def __post_init__(self) -> None:
@@ -257,6 +210,8 @@ class MechanicalCells(AbstractCells):
             friction = self.friction if isinstance(self.friction, AbstractFriction) else None
             each = [*(friction.parameters().values() if friction else ())]
             each += [] if callable(self.normal_load) else [self.normal_load]
+            parts = *_several("contacts")(self.contacts), *_several("stops")(self.stops)
+            each += [a for part in parts for a in getattr(part, "numbers", dict)().values()]
             self.n = max(
                 [*counts, *(np.shape(a)[0] for a in each if np.ndim(a) == 1)], default=None
             )
@@ -306,9 +261,22 @@ class MechanicalCells(AbstractCells):
         if self.friction is not None:
             wanted = "None, a friction law (dry friction) or `TanhFriction(law, width)`"
             check_kind("friction", self.friction, AbstractFriction, wanted)
+        if self.friction is not None and self.contacts:
+            raise ValueError(
+                "Arguments `friction` and `contacts` exclude each other: give all contacts in "
+                "`contacts`, the first one as `Contact((1, ...), friction, normal_load, "
+                "belt_speed)`."
+            )
+        check_contacts(self.contacts, self.stops, d, self.n)
+        if self.stops and self.friction is not None and not self.dry:
+            raise ValueError(
+                "Argument `stops` needs dry friction, because only event-driven runs find "
+                "impacts: give `friction` without a width."
+            )
         force: Any = self.force
         waves = force is not None and not callable(force)  # f cos(omega t)
-        driven = waves or any(map(callable, (force, self.normal_load, self.belt_speed)))
+        drives = [(c.normal_load, c.belt_speed) for c in (self, *self.contacts)]
+        driven = waves or any(map(callable, (force, *sum(drives, ()))))
         given = self.frequency is not None
         if (waves and not given) or (given and not driven):
             raise ValueError(
@@ -352,34 +320,36 @@ class MechanicalCells(AbstractCells):
 
     def _check_drives(self) -> None:
         """Raises `ValueError` for a function of time that returns something else than forces."""
-        zero, rest = jnp.zeros(()), (jnp.zeros(self.n or 1),) * (2 * self.d)
-        calls_at = {
-            "belt_speed": self.belt_speed_at,
-            "normal_load": lambda t: self.load_at(t, rest),
-            "force": self._drive_at,
-        }
-        for name, call in calls_at.items():
-            if not callable(getattr(self, name)):
-                continue
+        rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
+        calls: dict[str, Callable[[Any], Any]] = {}
+        for name, contact in {"": self, **_numbered("contacts", self.contacts)}.items():
+            speed, pressed = contact.belt_speed, contact.normal_load
+            if callable(speed):
+                calls[f"{name}belt_speed"] = speed
+            if callable(pressed):
+                calls[f"{name}normal_load"] = lambda t, p=pressed: p(
+                    t, rest[: self.d], rest[self.d :]
+                )
+        for name, call in calls.items():
+            check_drive(name, call, call, self.n)
+        if callable(self.force):
+            calls["force"] = self._drive_at
             try:
-                found = jax.eval_shape(call, zero)
-                good = name == "force" or found.shape in ((), (self.n or 1,))
+                jax.eval_shape(self._drive_at, jnp.zeros(()))
             except (TypeError, ValueError, IndexError) as error:
-                found, good = error, False
-            if not good:
-                wanted = {
-                    "belt_speed": "a function (t) that returns one speed",
-                    "normal_load": "a function (t) or (t, q, v) that returns one load, or one for "
-                    "each cell",
-                    "force": f"a function (t) that returns one force, or {self.d}",
-                }[name]
-                raise ValueError(f"Argument `{name}` must be {wanted}, but gives {shown(found)}.")
-            if self.frequency is None or is_traced(self.frequency, getattr(self, name)):
+                raise ValueError(
+                    "Argument `force` must be a function (t) that returns one force, or "
+                    f"{self.d}, but gives {shown(error)}."
+                ) from error
+        if self.frequency is None or is_traced(self.frequency):
+            return
+        period = 2.0 * np.pi / float(self.frequency)
+        for name, call in calls.items():
+            if is_traced(call, self.force, self.normal_load, self.belt_speed, self.contacts):
                 continue
-            period = 2.0 * np.pi / float(self.frequency)
             with jax.ensure_compile_time_eval():
                 ends = [
-                    [np.asarray(part) for part in jax.tree.leaves(calls_at[name](now))]
+                    [np.asarray(part) for part in jax.tree.leaves(call(now))]
                     for share in _INSIDE
                     for now in (share * period, (share + 1.0) * period)
                 ]
@@ -457,8 +427,36 @@ class MechanicalCells(AbstractCells):
         return super().description(n) | ({"plus": plus} if plus else {})
 
     def parameters(self) -> dict[str, Array]:
-        """The arrays among the fields, the parameters of the law, the parameters of `plus`."""
-        return super().parameters() | {name: a.factor for name, a in (self.plus or {}).items()}
+        """The arrays among the fields, the parameters of the law, the parameters of `plus`.
+
+        Those of contacts, stops and drives have names such as "contacts[0].mu_static",
+        "stops[0].gap", "force.values" (a field of a function that is an `equinox.Module`).
+        """
+        found = super().parameters() | {name: a.factor for name, a in (self.plus or {}).items()}
+        for prefix, part in self._parts().items():
+            found |= {prefix + name: value for name, value in part.numbers().items()}
+        for prefix, owner in {"": self, **_numbered("contacts", self.contacts)}.items():
+            for name in _DRIVES if owner is self else _DRIVES[:2]:
+                found |= drive_numbers(prefix + name, getattr(owner, name))
+        return found
+
+    def _parts(self) -> dict[str, Contact | Stop]:
+        return _numbered("contacts", self.contacts) | _numbered("stops", self.stops)
+
+    def with_(self, **changes: Any) -> Any:
+        """See `AbstractModel.with_`; the names of numbers of parts are those of `parameters`."""
+        changes = with_entries(changes, self.parameters(), "`MechanicalCells.with_`")
+        nested = {name: changes.pop(name) for name in [*changes] if "." in name}
+        check_known("`MechanicalCells.with_`", nested, self.parameters())
+        cells: Any = self
+        if self.friction is None and self.frictional and "width" in changes:  # of all contacts
+            width = changes.pop("width")
+            contacts = [replace(c, friction=c.friction.with_(width=width)) for c in self.contacts]
+            cells = replace(cells, contacts=contacts)
+        for name, value in nested.items():
+            owner, _, field = name.rpartition(".")
+            cells = eqx.tree_at(*_changed(cells, owner, field, to_float(value, name)))
+        return AbstractCells.with_(cells, **changes)
 
     @property
     def components(self) -> tuple[str, ...]:
@@ -468,8 +466,16 @@ class MechanicalCells(AbstractCells):
 
     @property
     def frictional(self) -> bool:
-        """Whether there is friction."""
-        return self.friction is not None
+        """Whether there is friction, or a stop."""
+        return bool(self.frictional_contacts or self.stops)
+
+    @property
+    def frictional_contacts(self) -> tuple[Contact, ...]:
+        """The `contacts`, or the one of `friction` and `sliding`."""
+        if self.friction is None:
+            return self.contacts
+        unit = tuple(float(i == self.sliding) for i in range(self.d))
+        return (Contact(unit, self.friction, self.normal_load, self.belt_speed),)
 
     def velocity_of(self, index: int) -> int | None:
         """The index of q_i' for q_i."""
@@ -477,42 +483,20 @@ class MechanicalCells(AbstractCells):
 
     @property
     def contact(self) -> int:
-        """The number of a state that is the sliding velocity."""
-        return self.d + self.sliding
+        """The number of a state that is the sliding velocity, of the first contact with a belt."""
+        found = [c.displacement for c in self.contacts if c.displacement is not None]
+        return self.d + (found[0] if found else self.sliding)
 
     @property
     def dry(self) -> bool:
-        """Whether friction is a law without smoothing."""
-        return isinstance(self.friction, AbstractFrictionLaw)
+        """Whether friction is a law without smoothing, or there are stops."""
+        return self.frictional and all(contact.dry for contact in self.frictional_contacts)
 
     @property
     def law(self) -> AbstractFrictionLaw:
-        """The friction law mu(s), without smoothing."""
-        friction: Any = self.friction
+        """The friction law mu(s), without smoothing; of the first of several contacts."""
+        friction: Any = self.friction if self.friction is not None else self.contacts[0].friction
         return friction.law
-
-    @property
-    def moving_belt(self) -> bool:
-        """Whether the belt's speed is a function of time."""
-        return callable(self.belt_speed)
-
-    @property
-    def varying_load(self) -> bool:
-        """Whether the load is a function of time or of the state."""
-        return callable(self.normal_load)
-
-    def belt_speed_at(self, t: Any) -> Any:
-        """v_d."""
-        speed = self.belt_speed
-        return speed(t) if callable(speed) else speed
-
-    def load_at(self, t: Any, y: State) -> Any:
-        """p, at least 0: where a function is negative the contact has lifted off."""
-        load = self.normal_load
-        if not callable(load):
-            return load
-        pressed: Any = load(t, y[: self.d], y[self.d :])
-        return jnp.maximum(pressed, 0.0)
 
     def _drive_at(self, t: Any) -> list[Any]:
         """The d external forces."""
@@ -534,76 +518,127 @@ class MechanicalCells(AbstractCells):
         signs = {"mass": "positive", "normal_load": "nonnegative"}
         return row._replace(sign=signs.get(name, row.sign))
 
-    def static_limit(self) -> PerMass:
-        """p mu_st, the greatest friction on a sticking mass; of the nominal load if p varies."""
-        load = self.natural_scales()[2] if self.varying_load else self.normal_load
-        return load * self.law.mu_static
+    def check_locality(self, t: ScalarLike, y: State) -> None:
+        """See `AbstractCells`; and no cell may be beyond a stop."""
+        super().check_locality(t, y)
+        for i, stop in enumerate(self.stops):
+            if is_traced(y, stop):
+                continue
+            at, gap = np.asarray(along(stop.direction, y[: self.d])), np.asarray(stop.gap)
+            if np.any(at - gap > 1e-9 * (1.0 + np.abs(gap))):
+                raise ValueError(
+                    f"The state must not be beyond `stops[{i}]`, but e . q = {np.max(at):g} "
+                    f"exceeds its gap, {np.max(gap):g}: start on its near side."
+                )
+
+    def layers(self, t: ScalarLike, y: State) -> list[tuple[Array, PerMass, int | None]]:
+        """(w, width, variable that slides or None) of each contact."""
+        found = []
+        for contact in self.frictional_contacts:
+            u = contact.displacement
+            found.append((contact.slip(t, y), contact.width, None if u is None else self.d + u))
+        return found
 
     def switching(
         self, t: ScalarLike, v: Float[Array, " n"]
     ) -> tuple[Float[Array, " n"], PerMass] | None:
-        """(u' - v_d, width), None without friction."""
-        if self.friction is None:
+        """(u' - v_d, width) of the only contact, with a belt; None for others."""
+        only = self._only_contact()
+        return None if only is None else (v - only.speed_at(t), only.width)
+
+    def _only_contact(self) -> Contact | None:
+        """The contact of cells with one contact whose w is one of their velocities."""
+        found = self.frictional_contacts
+        return found[0] if len(found) == 1 and found[0].displacement is not None else None
+
+    def smallest_scale(self, n: int) -> tuple[PerMass, PerMass] | None:
+        """(eps, |v_d|) of the contact with the least width; None with dry friction or without."""
+        if self.dry or not self.frictional:
             return None
-        width = self.friction.width if isinstance(self.friction, TanhFriction) else to_float(0.0)
-        return v - self.belt_speed_at(t), width
+        found = [(c.width, jnp.abs(c.speed_at(jnp.zeros(())))) for c in self.frictional_contacts]
+        if len(found) == 1:
+            return found[0]
+        widths, speeds = ([jnp.min(part[i]) for part in found] for i in (0, 1))
+        least = jnp.argmin(jnp.stack(widths))
+        return jnp.stack(widths)[least], jnp.stack(speeds)[least]
 
     def belt_direction(self) -> ScalarLike:
-        """The sign of v_d; 1 for v_d = 0."""
-        return jnp.where(self.belt_speed_at(jnp.zeros(())) < 0, -1.0, 1.0)
+        """The sign of v_d of the first contact; 1 for v_d = 0."""
+        found = self.frictional_contacts
+        speed = found[0].speed_at(jnp.zeros(())) if found else 1.0
+        return jnp.where(jnp.ravel(jnp.asarray(speed, float))[0] < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass | None:
-        """The speed of greatest friction, 0 if it is dry; None without friction."""
-        return None if self.friction is None else self.friction.stick_speed()
+        """The speed of greatest friction, 0 if it is dry; None without, or of several contacts."""
+        only = self._only_contact()
+        return None if only is None else only.friction.stick_speed()
 
     def excess_force(self, t: Any, left: State, own: State, right: State) -> PerMass:
         """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry."""
-        if not isinstance(self.friction, TanhFriction):
+        only = self._only_contact()
+        if only is None or only.dry:
             return super().excess_force(t, left, own, right)
-        free, share = self.free_acceleration(t, left, own, right), self.compliance()
-        limit = self.load_at(t, own) * self.law.mu_static
-        return jnp.abs(free[self.sliding] / share[self.sliding]) - limit
+        free, share = self.free_acceleration(t, left, own, right), self.inverse_mass(only)
+        u: Any = only.displacement
+        limit = only.load_at(t, own) * only.law.mu_static
+        return jnp.abs(free[u] / share[u]) - limit
 
     def release_acceleration(self) -> PerMass | None:
         """p mu_st times its share b_u of the contact; None without smoothed friction."""
-        if not isinstance(self.friction, TanhFriction):
+        only = self._only_contact()
+        if only is None or only.dry:
             return None
-        share: Any = self.compliance()[self.sliding]
-        return self.static_limit() * share
+        u: Any = only.displacement
+        load = self.natural_scales()[2] if only.varying else only.normal_load
+        return load * only.law.mu_static * self.inverse_mass(only)[u]
 
     def friction_scales(self) -> tuple[AbstractFrictionLaw, Any, Any, Any] | None:
         """The unit is P sqrt(b_u / K_uu) with the greatest load P, cell by cell."""
-        if self.friction is None:
+        only = self._only_contact()
+        if only is None:
             return None
-        return self.law, 1.0, self.belt_speed_at(jnp.zeros(())), self.natural_scales()[1]
+        return only.law, 1.0, only.speed_at(jnp.zeros(())), self.natural_scales()[1]
 
     def natural_scales(self) -> tuple[Any, Any, Any]:
-        """(1 / sqrt(b_u K_uu), P sqrt(b_u / K_uu), P) with the greatest load P.
+        """(1 / sqrt(b K), P sqrt(b / K), P) with b and K of a contact and the greatest load P.
 
-        Of a load that varies P is its value at t = 0 and rest, or 1 if that is 0.
+        b = e . M^{-1} e and K = e . K e / (e . e)^2.  Of several contacts the shortest time, and
+        the greatest of the others.  A load that varies counts by its value at t = 0 and rest.
         """
-        if self.friction is None:
+        if not self.frictional_contacts:
             return super().natural_scales()
-        u = self.sliding
-        matrix = self._matrix("stiffness")
-        stiffness: Any = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
-        stiffness = jnp.where(stiffness > 0, stiffness, 1.0)
-        share: Any = self.compliance()[u]
         rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
-        load = jnp.max(self.load_at(jnp.zeros(()), rest))
-        load = jnp.where(load > 0, load, 1.0)
-        time = 1.0 / jnp.sqrt(jnp.min(share * stiffness))
-        return time, load * jnp.sqrt(jnp.max(share / stiffness)), load
+        times, speeds, loads = [], [], []
+        matrix = self._matrix("stiffness")
+        for contact in self.frictional_contacts:
+            e, u = contact.direction, contact.displacement
+            if u is not None:
+                stiffness = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
+            else:
+                length = sum(a * a for a in e)
+                product = _product(matrix, [a * jnp.ones(()) for a in e])
+                stiffness = along(e, [*product]) / length**2
+            stiffness = jnp.where(stiffness > 0, stiffness, 1.0)
+            share: Any = along(e, self.inverse_mass(contact))
+            load = jnp.max(contact.load_at(jnp.zeros(()), rest))
+            load = jnp.where(load > 0, load, 1.0)
+            times.append(1.0 / jnp.sqrt(jnp.min(share * stiffness)))
+            speeds.append(load * jnp.sqrt(jnp.max(share / stiffness)))
+            loads.append(load)
+        return (
+            _extreme(jnp.minimum, times),
+            _extreme(jnp.maximum, speeds),
+            _extreme(jnp.maximum, loads),
+        )
 
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""
         return None if self.frequency is None else 2.0 * jnp.pi / self.frequency
 
-    def compliance(self) -> list[Any]:
-        """M^{-1} e_u: the accelerations by a unit force at the contact; None for 0."""
-        unit: list[Any] = [None] * self.d
-        unit[self.sliding] = jnp.ones(())
-        return _solve(self._matrix("mass"), unit)
+    def inverse_mass(self, touch: Contact | Stop) -> list[Any]:
+        """M^{-1} e: the accelerations by a unit force at a contact or stop; None for 0."""
+        unit = [jnp.full((), e) if e else None for e in touch.direction]
+        return [*_solve(self._matrix("mass"), unit)]
 
     def accelerations(self, t: ScalarLike, y: State) -> Parts:
         """`free_acceleration` of all cells of a state."""
@@ -646,14 +681,38 @@ class MechanicalCells(AbstractCells):
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
         v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)
-        if self.friction is not None:
-            w = v[self.sliding] - self.belt_speed_at(t)
-            friction = self.load_at(t, own) * self.friction.force(w)
+        for contact in self.frictional_contacts:
+            friction = contact.load_at(t, own) * contact.friction.force(contact.slip(t, own))
             accelerations = tuple(
                 a if share is None else a + share * friction
-                for a, share in zip(accelerations, self.compliance(), strict=True)
+                for a, share in zip(accelerations, self.inverse_mass(contact), strict=True)
             )
         return (*v, *accelerations)
+
+
+def _extreme(of: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
+    return values[0] if len(values) == 1 else reduce(of, values)
+
+
+def _changed(cells: Any, owner: str, field: str, value: Array) -> tuple[Any, Any, Any]:
+    """(where, cells, what) for `equinox.tree_at`: a number of a contact, a stop or a drive."""
+    kind, _, rest = owner.partition("[")
+    if not rest:  # "force"
+        return lambda c: getattr(c, owner), cells, with_number(getattr(cells, owner), field, value)
+    index, _, drive = rest.partition("]")
+    i, part = int(index), getattr(cells, kind)[int(index)]
+    if drive:  # ".normal_load"
+        name = drive[1:]
+        part = replace(part, **{name: with_number(getattr(part, name), field, value)})
+    elif field in {f.name for f in fields(part)}:
+        part = replace(part, **{field: value})
+    else:
+        part = replace(part, friction=part.friction.with_(**{field: value}))
+    return lambda c: getattr(c, kind)[i], cells, part
+
+
+def _numbered(name: str, items: Sequence[Any]) -> dict[str, Any]:
+    return {f"{name}[{i}].": item for i, item in enumerate(items)}
 
 
 def _of_size(matrix: Matrix, d: int) -> Any:

@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float
 from .._checks import check_known, to_float
 from .._printing import PrintedAsCall
 from .._types import PerMass, ScalarLike, State
+from .contacts import Contact
 from .entries import array_of, entry, with_entries
 from .friction import AbstractFriction, AbstractFrictionLaw
 from .locality import Dependence
@@ -56,11 +57,14 @@ class AbstractModel(PrintedAsCall, eqx.Module):
     # None of these is a field unless a subclass makes it one: with an annotation it would be.
     ends = "cyclic"
     n = None  # the number of cells; None: any, that of the state
+    stops = ()  # each a `Stop`
     time_unit: ClassVar[str] = "1"
     components: ClassVar[tuple[str, ...]] = ()
     contact: ClassVar[int] = 1
     _symmetric: ClassVar[tuple[str, ...]] = ()
-    frictional: ClassVar[bool] = False  # whether it has contacts that `EventDriven` integrates
+    # Whether it has what `EventDriven` integrates: friction in contacts, or stops.
+    frictional: ClassVar[bool] = False
+    frictional_contacts: ClassVar[tuple[Contact, ...]] = ()
 
     @property
     def variables(self) -> tuple[StateVariable, ...]:
@@ -165,6 +169,11 @@ class AbstractModel(PrintedAsCall, eqx.Module):
     def layer(self, t: ScalarLike, y: State) -> tuple[Float[Array, " n"], PerMass] | None:
         """`switching` at a state: of the variable `contact`, or the last one of fewer."""
         return self.switching(t, y[min(self.contact, len(y) - 1)])
+
+    def layers(self, t: ScalarLike, y: State) -> list[tuple[Array, PerMass, int | None]]:
+        """(w, width, variable that slides or None) of each contact: of `layer` alone."""
+        layer = self.layer(t, y)
+        return [] if layer is None else [(*layer, min(self.contact, len(y) - 1))]
 
     def belt_direction(self) -> ScalarLike:
         """The sign of the velocity at which forces switch, 1 or -1; 1 if no force switches."""

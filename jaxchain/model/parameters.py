@@ -37,7 +37,7 @@ class Parameter(NamedTuple):
     floors: tuple[str, ...] = ()
     floor_remedy: str = ""
     searched: Sign | None = None
-    per: Literal["chain", "mass", "spring"] = "mass"
+    per: Literal["mass", "spring"] = "mass"
     required: bool = False
     default: float | None = None
     usual: float | None = None
@@ -70,8 +70,8 @@ class Parameter(NamedTuple):
 _MU = "a friction coefficient is a force ratio, such as 0.5."
 _ROWS = (
     Parameter(
-        "belt_speed", "belt speed", r"\tilde v_d", SPEED, per="chain", required=True, usual=1.5,
-        meaning="Negative for a belt that runs the other way.",
+        "belt_speed", "belt speed", r"\tilde v_d", SPEED, required=True, usual=1.5,
+        meaning="Negative for a belt that runs the other way; one number, or one per mass.",
         remedy="it is a speed, such as 1.5.",
     ),
     Parameter(

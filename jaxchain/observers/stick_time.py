@@ -10,9 +10,10 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from .._checks import check_positive_number, to_float
+from .._checks import check_positive_number, check_whole, to_float
 from .._internals import unvmap_any
 from .._types import ScalarLike, State
+from ..model.contacts import along
 from ..model.model import AbstractModel
 from .base import AbstractObserver, Step, Variable, all_finite, window_fits, zeros
 
@@ -27,7 +28,8 @@ class StickTime(AbstractObserver):
     on it, without friction, does not exceed p mu_st. The speed alone would give a time too long by
     sqrt[eps ln(1 / eps)], because a released mass leaves the belt like t^2.
 
-    **Arguments:** `window`, its length in dimensionless time.
+    **Arguments:** `window`, its length in dimensionless time; `contact`, which one of the several
+    contacts of a cell, counted from 0.
 
     !!! example
 
@@ -41,18 +43,26 @@ class StickTime(AbstractObserver):
     """
 
     window: float | None = eqx.field(static=True, default=None)
+    contact: int = eqx.field(static=True, default=0)
 
     def __check_init__(self) -> None:
         if self.window is not None:
             check_positive_number("window", self.window, "some periods of about 2 pi.")
+        check_whole("contact", self.contact, 0, None, "it counts contacts from 0.")
 
     def init(
         self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
-        if field.stick_speed() is None:
+        contacts = field.frictional_contacts
+        if field.stick_speed() is None and not (field.dry and contacts):
             raise ValueError(
                 "`StickTime` needs masses that can stick to a belt: a `Chain`, or "
-                "`MechanicalCells` with friction."
+                "`MechanicalCells` with friction, which of several contacts must be dry."
+            )
+        if self.contact >= max(len(contacts), 1):
+            raise ValueError(
+                f"Argument `contact` = {self.contact} must be less than the number of contacts, "
+                f"{len(contacts)}: they are counted from 0."
             )
         window = t1 - t0 if self.window is None else self.window
         return jnp.zeros_like(y0[0]), to_float(t1 - window)
@@ -65,7 +75,7 @@ class StickTime(AbstractObserver):
         watching = step.t1 > start
 
         def time() -> Array:
-            begin, end = sticking(step)
+            begin, end = sticking(step, self.contact)
             # Without 1 a lane that has ended, whose steps have no length, has NaN as gradient.
             length = jnp.where(step.t1 > step.t0, step.t1 - step.t0, 1.0)
             clipped = jnp.clip((start - step.t0) / length, 0.0, 1.0)
@@ -85,7 +95,7 @@ class StickTime(AbstractObserver):
         return {"stick_time": Variable(value, ("oscillator",), model.time_unit, name)}
 
 
-def sticking(step: Step) -> tuple[Array, Array]:
+def sticking(step: Step, contact: int = 0) -> tuple[Array, Array]:
     """The part of a step during which each mass sticks, as thetas from and to."""
     field: Any = step.field
     limit: Any = field.stick_speed()
@@ -110,31 +120,35 @@ def sticking(step: Step) -> tuple[Array, Array]:
 
     alone = field.ends == "free"
     if field.dry:  # steps end at events
-        held = _held(step)
+        held = _held(step, step.field.frictional_contacts[contact])
         return jnp.zeros(held.shape), jnp.where(held, 1.0, 0.0)
     begin, end = _where_negative(too_fast, step.y0[0])
     caught, released = _where_negative(excess, step.y0[0])
     return jnp.maximum(begin, caught), jnp.minimum(end, released)
 
 
-# A mass that slides between two rests on the belt within a step is faster than this, in its units.
-_CREEP = 1e-6
+# A mass that slides between two rests on the belt within a step is faster than this, in its units;
+# the velocities of several displacements that stick to each other differ by rounding.
+_CREEP, _ROUNDING = 1e-6, 1e-11
 
 
-def _held(step: Step) -> Array:
+def _held(step: Step, contact: Any) -> Array:
     """Which masses stick throughout a step of a dry run: they have the belt's speed at both ends.
 
     Between these the series of a belt whose speed changes errs by the tolerance.
     """
-    field: Any = step.field
-    k, least = field.contact, 0.0
-    if field.moving_belt:
-        least = _CREEP * (field.natural_scales()[1] + jnp.abs(step.y0[k]))
-    middle = step.t0 + 0.5 * (step.t1 - step.t0)
-    half = step.part(jnp.full_like(step.y0[k], 0.5), k)
-    between = jnp.abs(half - field.belt_speed_at(middle)) <= least
-    ends = [field.belt_speed_at(t) == y[k] for t, y in ((step.t0, step.y0), (step.t1, step.y1))]
-    return ends[0] & ends[1] & between
+    d, least, still = len(step.y0) // 2, 0.0, 0.0
+    w0, w1 = contact.slip(step.t0, step.y0), contact.slip(step.t1, step.y1)
+    unit = step.field.natural_scales()[1] + jnp.abs(contact.speed_at(step.t0))
+    if contact.moving:
+        least = _CREEP * unit
+    if contact.displacement is None or len(step.field.frictional_contacts) > 1:
+        still = _ROUNDING * unit
+    middle, half = step.t0 + 0.5 * (step.t1 - step.t0), jnp.full_like(step.y0[0], 0.5)
+    v = [step.part(half, d + i) if e else half for i, e in enumerate(contact.direction)]
+    between = along(contact.direction, v) - contact.speed_at(middle)
+    between = jnp.abs(between) <= jnp.maximum(least, still)
+    return (jnp.abs(w0) <= still) & (jnp.abs(w1) <= still) & between
 
 
 def _where_negative(
@@ -170,7 +184,7 @@ class MostSticking(AbstractObserver):
 
     def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del t0, t1, y0
-        if field.stick_speed() is None:
+        if not field.dry and field.stick_speed() is None:
             raise ValueError(
                 "`MostSticking` needs masses that can stick to a belt: a `Chain`, or "
                 "`MechanicalCells` with dry friction."
@@ -178,7 +192,8 @@ class MostSticking(AbstractObserver):
         return jnp.zeros((), int)
 
     def update(self, accumulator: Any, step: Step) -> Any:
-        return jnp.maximum(accumulator, jnp.sum(_held(step)))
+        held = [jnp.sum(_held(step, contact)) for contact in step.field.frictional_contacts]
+        return jnp.maximum(accumulator, sum(held, start=jnp.zeros((), int)))
 
     def read(self, accumulator: Any) -> Int[Array, ""]:
         return accumulator

@@ -232,9 +232,10 @@ def _belt(model: Any, states: tuple[np.ndarray, ...], part: Any, factor: float) 
     """The belt speed in a picture of the velocity of a contact."""
     if model is None or not model.frictional or part is not states[model.contact]:
         return None
-    if model.moving_belt:
+    belts = [c for c in model.frictional_contacts if c.displacement is not None]
+    if len(belts) != 1 or belts[0].moving or np.ndim(belts[0].belt_speed):
         return None
-    return factor * float(model.belt_speed)
+    return factor * float(belts[0].belt_speed)
 
 
 def _checked(

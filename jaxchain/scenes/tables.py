@@ -384,7 +384,7 @@ _Size: TypeAlias = Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
 
 def _of_a_chain(table: type[T]) -> type[T]:
     """The table with a key for each parameter of a chain."""
-    rows = {k: (float if row.per == "chain" else PerMass, row.default) for k, row in CHAIN.items()}
+    rows = {k: (PerMass, row.default) for k, row in CHAIN.items()}
     keys = _keys(table, rows)
     return create_model(table.__name__, __base__=table, __doc__=table.__doc__, **keys)
 

@@ -39,16 +39,19 @@ from ..solvers.dry_friction import (
     Modes,
     Series,
     after,
+    alone,
     expand,
     free_as_chosen,
     friction_at_rest,
     friction_coefficient,
+    late,
     motion,
     next_event,
     rates,
     slip_speed,
     start,
     static_limit,
+    unique,
 )
 from ..solvers.taylor import value, value_and_slope
 from .plan import (
@@ -107,11 +110,13 @@ def in_rounds(
     return lax.while_loop(lambda outer: any_goes_on(outer[0]), one_round, begin)[0]
 
 
-def shifts(field: Dry, series: Series, modes: Modes, t: Array, hits: Array) -> tuple[Array, Array]:
+def shifts(
+    field: Dry, series: Series, modes: Modes, t: Array, hits: Array, at_once: Array
+) -> tuple[Array, Array]:
     """One more step to the events, of third order: a shift by rounding, for its derivatives.
 
     An event is a root of e(t).  The step is -s - e'' s^2 / (2 e') with s = e / e'; it has the
-    first and second derivatives of the root.
+    first and second derivatives of the root.  Events `at_once` follow others without a root.
 
     **Returns:** the shift of each mass's event, of shape (n,), and the mean shift of the events,
     by which the step is made longer.
@@ -122,15 +127,20 @@ def shifts(field: Dry, series: Series, modes: Modes, t: Array, hits: Array) -> t
         w, acceleration = value_and_slope(series.w, t)
         r, drift = value_and_slope(series.r, t)
         if series.hold is None:
-            gap = r - jnp.sign(r) * static_limit(field, 0.0, ())
+            hold = static_limit(field, 0.0, tuple(part[0] for part in series.x))
+            gap = r - jnp.sign(r) * hold
         else:
             limit, rise = value_and_slope(series.hold, t)
             gap, drift = r - jnp.sign(r) * limit, drift - jnp.sign(r) * rise
-        return jnp.where(slides, w, gap), jnp.where(slides, acceleration, drift)
+        found = jnp.where(slides, w, gap), jnp.where(slides, acceleration, drift)
+        if series.gaps is None:
+            return found
+        stops = value_and_slope(series.gaps, t)
+        return jnp.concatenate([found[0], stops[0]]), jnp.concatenate([found[1], stops[1]])
 
     gap, rate = excess(t)
     bend = jax.jvp(lambda t: excess(t)[1], (t,), (jnp.ones_like(t),))[1]
-    usable = hits & (rate != 0)
+    usable = hits & (rate != 0) & ~at_once
     rate = jnp.where(usable, rate, 1.0)
     newton = change_alone(jnp.where(usable, -gap, 0.0) / rate)
     # The derivative of e'' / e' meets s^2 = 0.
@@ -161,15 +171,16 @@ def head_start(
     to stick has no acceleration then, nor has one that is released, unless friction falls.  The
     other displacements of its cell feel the change of friction.
     """
-    d, contact = len(state) // 2, field.contact
+    d, (contact,) = len(state) // 2, field.frictional_contacts
+    u: Any = contact.displacement
     slides_on = hits & (new.direction != STICK)
     rate = motion(field, t, state, new.direction)[d:]
-    gains = [jnp.where(slides_on, since * rate[contact - d], 0.0)] * d
+    gains = [jnp.where(slides_on, since * rate[u], 0.0)] * d
     if d > 1:
         change = friction_at_rest(field, t, state, new.direction)
         change = since * (change - friction_at_rest(field, t, state, modes.direction))
-        for i, share in enumerate(field.compliance()):
-            if i != contact - d:
+        for i, share in enumerate(field.inverse_mass(contact)):
+            if i != u:
                 gains[i] = jnp.where(hits, 0.0 if share is None else -share * change, 0.0)
     return gains
 
@@ -250,10 +261,10 @@ class _StoredMotion(eqx.Module):
     modes: Modes
     stalled: Int[Array, ""]  # successive steps that did not change the time
     longest: Float[Array, ""]  # step after a rejected one; infinite otherwise
-    friction: list[Array]  # values at the present speeds, see `friction_coefficient`
+    friction: list[list[Array]]  # values at the present speeds, see `friction_coefficient`
 
 
-def _friction(dry: Dry, t: Any, state: State, modes: Modes) -> list[Array]:
+def _friction(dry: Dry, t: Any, state: State, modes: Modes) -> list[list[Array]]:
     w = slip_speed(dry, t, state)
     return friction_coefficient(dry, w, modes.direction, w)[1]
 
@@ -385,13 +396,14 @@ class EventDrivenPlan(AbstractPlan):
         bearable = constant(_step_length(self.order, series, per_scale))
         bearable = jnp.minimum(jnp.minimum(bearable, self.max_step), memory.longest)
         length = jnp.minimum(left, bearable)
-        until, hits = next_event(*constant((field, series, modes, length)))
+        until, hits, at_once = next_event(*constant((field, series, modes, length)))
         length = jnp.where(until < length, until, length)
         meets = (length >= left) & ~jnp.any(hits)
 
         # Rounding, and so only its derivatives are computed.
         lengths = spread(length, before[0])
-        of_events, shift = shifts(field, series, modes, lengths, hits)
+        times = lengths if alone(field) else length  # there are more events than masses
+        of_events, shift = shifts(field, series, modes, times, hits, at_once)
         length, lengths = length + change_alone(shift), lengths + change_alone(shift)
         # Each is computed once: see `materialize`.
         d = len(series.x)
@@ -399,17 +411,28 @@ class EventDrivenPlan(AbstractPlan):
         v, slopes = zip(*[value_and_slope(part, lengths) for part in series.v], strict=True)
         v = [materialize(part, flat=True) for part in v]
         t1 = t0 + length
-        state, new, free = after(field, t1, (*x, *v), modes, hits, length > 0)
-        gains = head_start(field, t1, state, modes, new, hits, shift - of_events)
-        gained = [a + change_alone(b) for a, b in zip(state[d:], gains, strict=True)]
-        state = (*state[:d], *gained)
+        state, new, free = after(field, t1, (*x, *v), modes, hits, at_once, length > 0)
+        since = shift - of_events
+        if alone(field):
+            gains = [None] * d + head_start(field, t1, state, modes, new, hits, since)
+        else:
+            gains = late(field, t1, state, modes, new, hits, since)
+        state = tuple(
+            a if b is None else a + change_alone(b) for a, b in zip(state, gains, strict=True)
+        )
         # The truncated series errs by v_{p+1} h^{p+1}, its derivative by (p + 1) v_{p+1} h^p.  So
         # h / (p + 1) times the difference from the rate at the end is the error of the step, and
         # far greater if the series at its start does not know what follows.
         w = slip_speed(field, t1, state)
         mu, known = friction_coefficient(field, w, new.direction, series.w[0])
-        chosen = free_as_chosen(field, series, t1, state, free)
-        right = rates(field, t1, state, chosen, mu, modes.direction)
+        arrived, ending = state, (free, mu)
+        if field.stops:  # an impact has thrown it back
+            arrived = (*x, *v)
+            w = slip_speed(field, t1, arrived)
+            sliding, _ = friction_coefficient(field, w, modes.direction, series.w[0])
+            ending = field.accelerations(t1, arrived), sliding
+        chosen = free_as_chosen(field, series, t1, arrived, ending[0])
+        right = rates(field, t1, arrived, chosen, ending[1], modes.direction)
         gaps = [constant(a - b) for a, b in zip(slopes, right, strict=True)]
         defect = materialize(_greatest(gaps, per_scale))  # NaN if any number is
         accepted = length * defect <= _BEARABLE * (self.order + 1)
@@ -437,8 +460,13 @@ class EventDrivenPlan(AbstractPlan):
                 for o, a in pairs
             ]
             result = self.settled(accumulators, result)
-        stuck = stalled > _STALLED_PER_MASS * x[0].shape[0] + _STALLED
+        stuck = stalled > _STALLED_PER_MASS * hits.shape[0] + _STALLED
         result = Result.where(stuck, Result.events_accumulate, result)
+        if field.stops:
+            bounces = stuck & jnp.any(hits[new.direction.size :])
+            result = Result.where(bounces, Result.bounces_accumulate, result)
+        if len(field.frictional_contacts) > 1:
+            result = Result.where(unique(field, new, state), result, Result.forces_not_unique)
         resolved = longest > _RESOLUTION * jnp.maximum(jnp.abs(t0), jnp.abs(end))
         result = Result.where(resolved, result, Result.step_too_small)
         result = Result.where(finite, result, Result.nonfinite)
@@ -511,7 +539,8 @@ class EventDriven(eqx.Module):
 def _dry(field: AbstractModel) -> Dry:
     if not field.frictional:
         raise ValueError(
-            "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction, but has "
-            f"{type(field).__name__}. Use a structured or a stock solver for any other system."
+            "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction or stops,"
+            f" but has {type(field).__name__}. Use a structured or a stock solver for any other "
+            "system."
         )
     return field.with_(width=None)

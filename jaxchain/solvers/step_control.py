@@ -161,29 +161,31 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
     ):
-        before = self.field.layer(self.direction * t0, y0)
-        after = self.field.layer(self.direction * t1, y1_candidate)
-        moved = None
-        if before is not None and after is not None:
-            moved = [spread(part, y0[0]) for part in (before[0], *after, t1 - t0)]
-        if moved is not None:
-            y_error = self._weighted(y_error, *moved)
+        before = self.field.layers(self.direction * t0, y0)
+        after = self.field.layers(self.direction * t1, y1_candidate)
+        moves = [
+            ([spread(part, y0[0]) for part in (start, w, width, t1 - t0)], contact)
+            for (start, _, contact), (w, width, _) in zip(before, after, strict=True)
+        ]
+        for moved, contact in moves:
+            y_error = self._weighted(y_error, contact, *moved)
         kept, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
             t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
         )
-        if moved is not None:
-            bend = self._curvature(moved[-1], y0, y1_candidate)
+        for moved, contact in moves:
+            bend = self._curvature(contact, moved[-1], y0, y1_candidate)
             longest = jnp.where(kept, self._longest_step(bend, *moved), jnp.inf)
             longest = jnp.maximum(longest, self._shortest_step(lax.stop_gradient(t1)))
             next_t1 = jnp.minimum(next_t1, next_t0 + longest)
         return kept, next_t0, next_t1, made_jump, state, result
 
-    def _weighted(self, error: Any, start: Array, w: Array, width: Any, h: Any) -> Any:
+    def _weighted(
+        self, error: Any, contact: int | None, start: Array, w: Array, width: Any, h: Any
+    ) -> Any:
         """The error of a step from w = `start`, by its effect on the time of a release."""
         acceleration = self.field.release_acceleration()
-        if acceleration is None or not isinstance(error, tuple):
+        if acceleration is None or contact is None or not isinstance(error, tuple):
             return error
-        contact = min(self.field.contact, len(error) - 1)
         change = jnp.abs(w - start)
         leaves = (w * (w - start) > 0.0) & (jnp.abs(start) < FREE * width)
         leaves = leaves & (jnp.abs(w) > RELEASED * width)
@@ -192,11 +194,10 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         weighted = lax.stop_gradient(weight) * error[contact]
         return (*error[:contact], weighted, *error[contact + 1 :])
 
-    def _curvature(self, h: Any, y0: State, y1: State) -> Any:
+    def _curvature(self, contact: int | None, h: Any, y0: State, y1: State) -> Any:
         """c of v = (1 - s / h) v_0 + (s / h) v_1 + c s (s - h) with the mean (x_1 - x_0) / h."""
-        contact = self.field.contact
         of = [k for k in range(len(y0)) if self.field.velocity_of(k) == contact]
-        if not of:
+        if contact is None or not of:
             return 0.0  # the integral of v need not be among the variables
         x = of[0]
         mean = (self.direction / h) * (y1[x] - y0[x])  # x' = -v while time runs backward
