@@ -83,7 +83,7 @@ class Contact(PrintedAsCall, eqx.Module):
         >>> start = tuple(jnp.zeros((4, 1)))
         >>> run = simulate(blocks, start, 20.0, observe=[StickTime(contact=i) for i in (0, 1)])
         >>> [round(float(time[0]), 3) for time in run.observed]
-        [15.193, 20.0]
+        [7.755, 20.0]
     """
 
     direction: tuple[float, ...] = eqx.field(converter=_direction, static=True)
