@@ -40,7 +40,16 @@ from ..model.arguments import as_model, as_parameter, as_state
 from ..model.locality import check_autonomous
 from ..model.model import AbstractModel
 from ..result import Outcome, SearchResult, is_one
-from ..solvers.dry_friction import BACKWARD, FORWARD, STICK, free_force, motion, nominal_limit
+from ..solvers.dry_friction import (
+    BACKWARD,
+    FORWARD,
+    STICK,
+    alone,
+    free_force,
+    modes_at_rest,
+    motion,
+    nominal_limit,
+)
 
 # Beside the frequency: the real part of a pair of eigenvalues that counts as zero.
 _ON_AXIS = 1e-6
@@ -150,7 +159,7 @@ class Rates(eqx.Module):
     @classmethod
     def of(cls, field: Any, m: int, parameter: str | None = None) -> Rates:
         """Those of masses at rest, which a moving belt slides past."""
-        direction = lax.stop_gradient(jnp.sign(-field.belt_speed)) if field.dry else None
+        direction = lax.stop_gradient(modes_at_rest(field)) if field.dry else None
         return cls(field, m, parameter, direction)
 
     def at(self, p: Any = None) -> AbstractModel:
@@ -292,6 +301,11 @@ def find_equilibrium(
     """
     state, limit = _checked(model, guess, tolerance, max_steps)
     check_flag("throw", throw)
+    if model.dry and not alone(model) and _some_stick(model):
+        raise ValueError(
+            "Argument `model` must have belts that move under all of its contacts, as several "
+            "that stick share forces that are not known: run it, `simulate(model, ...)`."
+        )
     found = _equilibrium(model, state, to_float(tolerance), jnp.asarray(limit))
     if throw and not is_traced(found.successful) and not found.successful:
         raise RuntimeError(
@@ -319,12 +333,18 @@ def _checked(model: Any, guess: Any, tolerance: Any, max_steps: Any) -> tuple[St
 
 
 def _check_sliding(model: Any) -> None:
-    if model.dry and not is_traced(model.belt_speed) and float(model.belt_speed) == 0.0:
+    if _some_stick(model):
         raise ValueError(
-            "Argument `model` must have a belt that moves, but has dry friction and `belt_speed` "
-            "= 0: its masses stick, each in an interval of displacements (`find_equilibrium`), "
+            "Argument `model` must have belts that move, but has dry friction and `belt_speed` "
+            "= 0: masses stick there, each in an interval of displacements (`find_equilibrium`), "
             "in which there is no Hopf point. Give it a speed, `chain.with_(belt_speed=1.0)`."
         )
+
+
+def _some_stick(model: Any) -> bool:
+    """Whether a dry contact stands still at rest; False if that is not known while tracing."""
+    modes = modes_at_rest(model) if model.dry else jnp.ones(())
+    return not is_traced(modes) and bool(np.any(np.asarray(modes) == STICK))
 
 
 @eqx.filter_jit
@@ -338,7 +358,7 @@ def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Eq
         return root, attach_derivative(residual, root.value, args)
 
     sticking, interval = jnp.asarray(False), None
-    if fixed.direction is None:
+    if fixed.direction is None or not alone(model):
         root, u = solved(rest_residual, live, fixed)
         J = jax.jacfwd(fixed)(root.value)
     else:
@@ -597,7 +617,7 @@ def _hopf_point(
     y, p = (root.value[:-2], root.value[-1])
     if rates.direction is not None:
         field: Any = rates.at(p)
-        slides = rates.direction * field.belt_speed < 0
+        slides = jnp.all(rates.direction * modes_at_rest(field) > 0)
         good, none = good & slides, SearchResult.where(slides, none, SearchResult.sticking)
     values, vectors = jnp.linalg.eig(jax.jacfwd(rates)(y, p))
     mode = vectors[:, jnp.argmin(jnp.abs(values - 1j * root.value[-2]))]

@@ -257,7 +257,6 @@ class MechanicalCells(AbstractCells):
         if not callable(self.normal_load):
             check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
             per_cell["normal_load"] = self.normal_load
-        self._check_drives()
         if self.friction is not None:
             wanted = "None, a friction law (dry friction) or `TanhFriction(law, width)`"
             check_kind("friction", self.friction, AbstractFriction, wanted)
@@ -267,6 +266,14 @@ class MechanicalCells(AbstractCells):
                 "`contacts`, the first one as `Contact((1, ...), friction, normal_load, "
                 "belt_speed)`."
             )
+        for name, usual in zip(_DRIVES, (1.0, 0.0), strict=False):
+            given: Any = getattr(self, name)
+            known = callable(given) or not is_traced(given)
+            if self.contacts and known and (callable(given) or np.any(given != usual)):
+                raise ValueError(
+                    f"Argument `{name}` must be left out beside `contacts`, which have their own: "
+                    f"give it to each `Contact(..., {name}=...)`."
+                )
         check_contacts(self.contacts, self.stops, d, self.n)
         if self.stops and self.friction is not None and not self.dry:
             raise ValueError(
@@ -277,8 +284,8 @@ class MechanicalCells(AbstractCells):
         waves = force is not None and not callable(force)  # f cos(omega t)
         drives = [(c.normal_load, c.belt_speed) for c in (self, *self.contacts)]
         driven = waves or any(map(callable, (force, *sum(drives, ()))))
-        given = self.frequency is not None
-        if (waves and not given) or (given and not driven):
+        timed = self.frequency is not None
+        if (waves and not timed) or (timed and not driven):
             raise ValueError(
                 "Arguments `force` and `frequency` belong together, but are "
                 f"{shown(self.force)} and {shown(self.frequency)}: give both or neither."
@@ -286,6 +293,7 @@ class MechanicalCells(AbstractCells):
         if self.frequency is not None:
             check_positive("frequency", self.frequency)
             check_number("frequency", self.frequency)
+        self._check_drives()
         if waves:
             check_finite("force", force)
             if np.shape(force) not in ((), (d,)):
@@ -438,6 +446,8 @@ class MechanicalCells(AbstractCells):
         for prefix, owner in {"": self, **_numbered("contacts", self.contacts)}.items():
             for name in _DRIVES if owner is self else _DRIVES[:2]:
                 found |= drive_numbers(prefix + name, getattr(owner, name))
+        if self.contacts:  # which have their own
+            found = {k: a for k, a in found.items() if k not in _DRIVES[:2]}
         return found
 
     def _parts(self) -> dict[str, Contact | Stop]:
@@ -445,7 +455,9 @@ class MechanicalCells(AbstractCells):
 
     def with_(self, **changes: Any) -> Any:
         """See `AbstractModel.with_`; the names of numbers of parts are those of `parameters`."""
-        changes = with_entries(changes, self.parameters(), "`MechanicalCells.with_`")
+        changes = with_entries(
+            changes, self.parameters(), "`MechanicalCells.with_`", self._symmetric
+        )
         nested = {name: changes.pop(name) for name in [*changes] if "." in name}
         check_known("`MechanicalCells.with_`", nested, self.parameters())
         cells: Any = self

@@ -130,8 +130,8 @@ def _check(model: AbstractModel, accuracy: Any) -> None:
     as_model(model)
     if model.friction_scales() is None:
         raise ValueError(
-            "Argument `accuracy` picks the width of smoothed friction, of which a "
-            f"{type(model).__name__} has none: leave it out, and give `rtol`."
+            "Argument `accuracy` picks the width of smoothed friction at one contact, of which "
+            f"this {type(model).__name__} has none: leave it out, and give `rtol`."
         )
     check_number("accuracy", accuracy, "1e-3 is 0.1 %.")
     if not is_traced(accuracy) and not LEAST_ACCURACY <= float(accuracy) <= MOST_ACCURACY:

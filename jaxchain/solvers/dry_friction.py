@@ -124,6 +124,12 @@ def modes_at(chain: Dry, t: Any, y: State) -> Array:
     )
 
 
+def modes_at_rest(chain: Dry) -> Array:
+    """The modes of contacts of cells at rest, which their belts slide past."""
+    speeds = [jnp.asarray(c.speed_at(0.0), float) for c in chain.frictional_contacts]
+    return jnp.sign(-_joined(speeds, jnp.zeros(chain.n or 1)))
+
+
 def _belt_acceleration(contact: Contact, t: Any) -> Any:
     if not contact.moving:
         return None
