@@ -28,9 +28,9 @@ from jaxchain import (
 )
 from jaxchain._printing import Sketch, svg
 from jaxchain.basins import VibratingMasses
-from jaxchain.boundaries import StabilityRange, find_fold
+from jaxchain.boundaries import StabilityRange, complex_modes, find_fold
 from jaxchain.continuation import continue_branch
-from jaxchain.inverse import Measurements, identify
+from jaxchain.inverse import Measurements, Profile, identify
 from jaxchain.model import DimensionalParameters, MechanicalCells, TabulatedFriction, VanDerPol
 from jaxchain.result import Outcome, Printed
 
@@ -247,6 +247,18 @@ def test_cycles_branches_and_curves_are_drawn(branch):
     assert "special: fold at 1.79246, hopf at 1.15129" in repr(followed)
     ring = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0)
     assert "fold" in sketch_of(ring)
+
+
+def test_modes_and_profiles_are_drawn_over_their_values():
+    rows, change = [[2.0, 0.5], [0.5, 1.0]], {"friction": [[0.0, -1.0], [0.0, 0.0]]}
+    pads = MechanicalCells(rows, damping=[0.02, 0.03], plus=change)
+    modes = complex_modes(pads, over={"friction": jnp.linspace(0.0, 1.4, 5)})
+    assert {"friction", "growth rate"} <= {*sketch_of(modes)}
+    assert "frequency" in sketch_of(complex_modes(pads))
+    of_one = map(jnp.asarray, ([0.0, 1.0, 2.0], [4.0, 1.0, 4.0], 1.0, 0.5, -jnp.inf, 0.95))
+    text = Profile(*of_one)._repr_html_()
+    assert "χ²" in text
+    assert text.count("<circle") == 1  # the interval ends on one side
 
 
 def test_values_that_are_traced_are_not_drawn():
