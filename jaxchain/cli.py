@@ -11,6 +11,7 @@ import importlib.util
 import json
 import math
 import os
+import re
 import shlex
 import signal
 import sys
@@ -30,18 +31,55 @@ from .scenes.files import SceneError, builtin_scenes, read_scene, scene_file
 if TYPE_CHECKING:
     from .scenes.scene import LoadedScene
 
-_EXAMPLES = """\
-examples:
-  jaxchain run quickstart          draw a first figure, in seconds
-  jaxchain scenes                  list the built-in scenes
-  jaxchain scenes quickstart       print a scene file, to edit
-  jaxchain status results/mine     show the progress of a large run
-  jaxchain resume results/mine     continue an interrupted run
-  jaxchain report results/mine     write its report.html again
-  jaxchain COMMAND --help          list the options of a command
-
-exit status: 0 success, 1 failure, 2 wrong use, 130 interrupted (finished runs are saved)
-"""
+# Of the command and of each subcommand: words after `jaxchain`, and what they do.
+_EXAMPLES = {
+    "": (
+        ("run quickstart", "draw a first figure, in seconds"),
+        ("scenes", "list the built-in scenes"),
+        ("scenes quickstart", "print a scene file, to edit"),
+        ("status results/mine", "show the progress of a large run"),
+        ("resume results/mine", "continue an interrupted run"),
+        ("report results/mine", "write its report.html again"),
+        ("COMMAND --help", "list the options of a command, with examples"),
+    ),
+    "run": (
+        ("run quickstart", "a built-in scene"),
+        ("run my.toml --output second", "a scene file, into the folder second"),
+        ("run quickstart --set experiment.ladder.chain.n=8", "with another number"),
+        ("run results/my", "the same again, into another folder"),
+        ("run my.toml --workers 8", "in eight processes"),
+        ("run my.toml --law my_law.py:MyLaw", "with your own friction law"),
+    ),
+    "resume": (
+        ("resume results/my", "compute what is missing"),
+        ("resume results/my --workers 8", "in eight processes"),
+        ("resume results/my --law my_law.py:MyLaw", "a run with your own friction law"),
+    ),
+    "status": (
+        ("status results/my", "a folder of results"),
+        ("status plane.zarr --json", "the store of a sweep, for programs"),
+    ),
+    "report": (("report results/my", "write results/my/report.html again"),),
+    "scenes": (
+        ("scenes", "list the built-in scenes"),
+        ("scenes quickstart > my.toml", "copy one, to edit"),
+        ("scenes --schema > scene.json", "let an editor check your scenes"),
+    ),
+    "boundary": (
+        ("boundary", "one mass with the paper's parameters"),
+        ("boundary --n 20 --coupling 0.01", "one mass of a ring of twenty"),
+        ("boundary --mu-static 0.6 --mu-dynamic 0.4 --v-ref 0.3", "another friction law"),
+        ("boundary --damping-ratio 0.03 --json", "for programs"),
+    ),
+    "basins": (
+        ("basins", "the paper's parameters"),
+        ("basins --belt-speed 1.3 --width 1e-2", "another belt speed and width"),
+        ("basins --displacement -1 1 --velocity 0 0.5", "starts in another box"),
+    ),
+}
+_STATUS = (
+    "exit status: 0 success, 1 failure, 2 wrong use, 130 interrupted (finished runs are saved)\n"
+)
 
 # The numbers that `boundary` and `basins` take, those of the paper by default.
 _BOUNDARY = ("width", "damping_ratio", "coupling", "mu_static", "mu_dynamic", "v_ref")
@@ -101,7 +139,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _interruptible() -> Iterator[None]:
     """Raises `KeyboardInterrupt` on Ctrl-C, also where compiled code turns it into another error.
 
-    JAX does so while it compares static arguments, Matplotlib while it draws a path.
+    JAX does so while it compares static arguments, Matplotlib while it draws a path, and numpy
+    while it is imported, which prints a traceback first.
     """
     came: list[int] = []
     main_thread = threading.current_thread() is threading.main_thread()
@@ -112,6 +151,11 @@ def _interruptible() -> Iterator[None]:
         came.append(number)
         usual[number](number, frame)
 
+    def excepthook(kind: type[BaseException], *rest: Any) -> None:
+        if not issubclass(kind, KeyboardInterrupt):
+            printed(kind, *rest)
+
+    printed, sys.excepthook = sys.excepthook, excepthook
     for number in usual:
         signal.signal(number, note)
     try:
@@ -121,21 +165,33 @@ def _interruptible() -> Iterator[None]:
             raise KeyboardInterrupt from None
         raise
     finally:
+        sys.excepthook = printed
         for number, handler in usual.items():
             signal.signal(number, handler)
 
 
+def _layout(command: str = "") -> dict[str, Any]:
+    """How help is set, with the examples of a subcommand."""
+    examples = _EXAMPLES[command]
+    width = max(len(words) for words, _ in examples)
+    lines = [f"  jaxchain {words:<{width}}  {text}" for words, text in examples]
+    epilog = "\n".join(["examples:", *lines, "", _STATUS])
+    return {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": epilog}
+
+
 def _parser() -> argparse.ArgumentParser:
-    layout: Any = {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": _EXAMPLES}
     about = "Simulates chains of friction-excited oscillators."
-    parser = argparse.ArgumentParser("jaxchain", description=about, **layout)
+    parser = argparse.ArgumentParser("jaxchain", description=about, **_layout())
     parser.add_argument("--version", action="version", version=f"jaxchain {__version__}")
+    help_ = "print what completes words on Tab in bash, zsh, fish, tcsh or powershell"
+    parser.add_argument("--completion", metavar="SHELL", action=_Completion, help=help_)
     parser.set_defaults(command=lambda options: parser.print_help())
     commands = parser.add_subparsers(metavar="COMMAND")
 
     def add(command: Callable[..., int | None], text: str, *options: Any) -> Any:
+        name = command.__name__.strip("_")
         one = commands.add_parser(
-            command.__name__.strip("_"), help=text.partition(".")[0], description=text, **layout
+            name, help=re.split(r"\.\s|\.$", text)[0], description=text, **_layout(name)
         )
         one.set_defaults(command=command)
         for option in options:
@@ -178,6 +234,32 @@ def _parser() -> argparse.ArgumentParser:
         box: Any = {"nargs": 2, "metavar": ("LOW", "HIGH"), "default": (low, 2.0)}
         basins.add_argument(f"--{name}", type=float, help=f"of the starts ({low:g} 2)", **box)
     return parser
+
+
+class _Completion(argparse.Action):
+    """Prints a script for a shell, which completes subcommands, options, files and scenes."""
+
+    def __call__(
+        self, parser: Any, namespace: Any, values: Any, option_string: str | None = None
+    ) -> None:
+        if importlib.util.find_spec("shtab") is None:
+            parser.error("--completion needs shtab: pip install 'jaxchain[completion]'")
+        import shtab
+
+        if values not in shtab.SUPPORTED_SHELLS:
+            parser.error(f'--completion knows {", ".join(shtab.SUPPORTED_SHELLS)}, not "{values}"')
+        names = " ".join(builtin_scenes())
+        both = "_jaxchain_scene_file"
+        choose = f'{both}() {{ compgen -W "{names}" -- "$1"; compgen -f -- "$1"; }}'
+        scenes = shtab.FILE | {"bash": both, "preamble": {"bash": choose}}
+        kinds = {"scene": scenes, "folder": shtab.DIRECTORY, "output": shtab.DIRECTORY}
+        kinds |= dict.fromkeys(("law", "model", "observer"), shtab.FILE)
+        (commands,) = (one for one in parser._actions if isinstance(one.choices, dict))
+        for action in (action for one in commands.choices.values() for action in one._actions):
+            if action.dest in kinds:
+                action.complete = kinds[action.dest]
+        print(shtab.complete(parser, values))
+        parser.exit()
 
 
 def _add_scene_options(parser: argparse.ArgumentParser) -> None:
