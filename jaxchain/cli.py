@@ -5,6 +5,7 @@ A subcommand imports what it needs: help, and the list of scenes, are printed at
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import contextlib
 import importlib.util
@@ -139,8 +140,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _interruptible() -> Iterator[None]:
     """Raises `KeyboardInterrupt` on Ctrl-C, also where compiled code turns it into another error.
 
-    JAX does so while it compares static arguments, Matplotlib while it draws a path, and numpy
-    while it is imported, which prints a traceback first.
+    JAX does so while it compares static arguments, Matplotlib while it draws a path.  In a
+    callback, such as JAX's for the garbage collector, Python would report and forget it.
     """
     came: list[int] = []
     main_thread = threading.current_thread() is threading.main_thread()
@@ -151,11 +152,13 @@ def _interruptible() -> Iterator[None]:
         came.append(number)
         usual[number](number, frame)
 
-    def excepthook(kind: type[BaseException], *rest: Any) -> None:
-        if not issubclass(kind, KeyboardInterrupt):
-            printed(kind, *rest)
+    def again(unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            threading.Timer(0.01, _thread.interrupt_main).start()  # after the callback
+        else:
+            reported(unraisable)
 
-    printed, sys.excepthook = sys.excepthook, excepthook
+    reported, sys.unraisablehook = sys.unraisablehook, again
     for number in usual:
         signal.signal(number, note)
     try:
@@ -165,9 +168,28 @@ def _interruptible() -> Iterator[None]:
             raise KeyboardInterrupt from None
         raise
     finally:
-        sys.excepthook = printed
+        sys.unraisablehook = reported
         for number, handler in usual.items():
             signal.signal(number, handler)
+
+
+def _import_jax() -> None:
+    """Imports JAX as a whole: a signal counts when it is done.
+
+    The C++ of JAX and numpy prints a traceback, or aborts, if an import of its own is interrupted.
+    """
+    came: list[int] = []
+    main_thread = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in _SIGNALS if main_thread}
+    for number in before:
+        signal.signal(number, lambda number, frame: came.append(number))
+    try:
+        import jax  # noqa: F401
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt
 
 
 def _layout(command: str = "") -> dict[str, Any]:
@@ -441,6 +463,7 @@ def _goes_on(folder: Path) -> str:
 
 
 def _status(options: argparse.Namespace) -> None:
+    _import_jax()
     from .sweeps.store import in_lines, status_of, store_named, stores_in
 
     path = Path(options.folder)
@@ -471,6 +494,7 @@ def _run_in_lines(run: dict[str, Any]) -> Iterator[str]:
 
 
 def _report(options: argparse.Namespace) -> None:
+    _import_jax()
     configure(devices=0, whole_loops=False, cache=False)  # the page has the precision of the run
     from .scenes.report import renew_page
 
@@ -645,6 +669,7 @@ def _chain(options: argparse.Namespace, n: int, **numbers: Any) -> Any:
 
 
 def _configure(options: argparse.Namespace) -> None:
+    _import_jax()
     configure(cache=not options.no_cache)
     if options.no_cache:
         import jax
