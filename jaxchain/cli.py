@@ -463,7 +463,6 @@ def _goes_on(folder: Path) -> str:
 
 
 def _status(options: argparse.Namespace) -> None:
-    _import_jax()
     from .sweeps.store import in_lines, status_of, store_named, stores_in
 
     path = Path(options.folder)
