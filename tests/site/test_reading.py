@@ -29,7 +29,8 @@ QUESTIONS = {
 }  # fmt: skip
 # Elements of a page that are wider than their place: they would be cut, or have to be scrolled.
 CUT = """() => [...document.querySelectorAll(
-    'mjx-container[display="true"], .bd-article pre, .bd-article div.math'
+    'mjx-container[display="true"], .bd-article pre, .bd-article div.math, '
+    + '.bd-article :is(p, li):not(table *)'
 )].filter(e => e.clientWidth && e.scrollWidth > e.clientWidth + 1).map(e => e.textContent)"""
 
 
