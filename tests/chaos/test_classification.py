@@ -10,12 +10,20 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.orbits import closed_orbit
 
-from jaxchain import EventDriven, equation_8, paper_chain, simulate
+from jaxchain import (
+    EventDriven,
+    ExponentialDecay,
+    equation_8,
+    find_limit_cycle,
+    paper_chain,
+    simulate,
+)
 from jaxchain.chaos.classification import verdict, verdicts
 from jaxchain.model import (
     AbstractCells,
     Duffing,
     LuGre,
+    MechanicalCells,
     ModeCoupling,
     Pendulums,
     VanDerPol,
