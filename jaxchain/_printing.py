@@ -1,18 +1,20 @@
-"""How models and results print: as text, and as a table in notebooks.
+"""How models and results print: as text, and as a table with a sketch in notebooks.
 
 A model prints as the call that makes it, a result line by line.  Values follow one rule: numbers
-and short arrays in full, longer arrays as their range and shape, traced ones as their shape.
+and short arrays in full, longer arrays as their range and shape, traced ones as their shape.  What
+is drawn is a `Sketch`, which a class returns by its method `_sketch`.
 """
 
 from __future__ import annotations
 
 import html
 import inspect
+import itertools
 import math
 import textwrap
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +24,25 @@ from jax.core import Tracer
 
 _WIDTH, _LINES, _FEW = 79, 9, 4
 _Rows = list[tuple[str, str]]
+# Of a sketch in pixels: its sides; the margins left, right, above and below its frame.
+_SIDES, _MARGINS = (340, 200), (52, 14, 10, 34)
+
+
+class Sketch(NamedTuple):
+    """Lines and points in a plane: the picture of an object in a notebook.
+
+    - `x`, `y`: what the axes are.
+    - `lines`: (x, y) of shapes (k,) and (k,) or (k, lines), or (x, y, solid) with booleans (k,):
+      a line is dashed where it is not solid.
+    - `points`: (x, y, label); of equal labels one is written.
+    - `is_isotropic`: whether both axes have one scale.
+    """
+
+    x: str
+    y: str
+    lines: Sequence[tuple[Any, ...]] = ()
+    points: Sequence[tuple[Any, Any, str]] = ()
+    is_isotropic: bool = False
 
 
 class Printed:
@@ -41,7 +62,14 @@ class Printed:
 
     def _repr_html_(self) -> str:
         title, advice, rows = self._parts()
-        return html_table(". ".join([title, *advice]), rows)
+        return html_table(". ".join([title, *advice]), rows) + _picture(self)
+
+    def _sketch(self) -> Sketch | None:
+        """What a notebook draws below the table; never called for traced values."""
+
+    def _in_short(self) -> str:
+        """The text of this result among the fields of another one."""
+        return type(self).__name__
 
     def _instead(self) -> Mapping[str, str]:
         """Texts in place of the values of fields, by name; an empty text leaves a field out."""
@@ -91,7 +119,10 @@ class PrintedAsCall:
 
     def _repr_html_(self) -> str:
         rows = [(name, value_text(value)) for name, value in _arguments(self)]
-        return html_table(type(self).__name__, rows)
+        return html_table(type(self).__name__, rows) + _picture(self)
+
+    def _sketch(self) -> Sketch | None:
+        """What a notebook draws below the table; never called for traced values."""
 
 
 def call_text(value: Any) -> str:
@@ -129,7 +160,9 @@ def value_text(value: Any, error: Any = None) -> str:
         return value_text(value.func)
     if inspect.isfunction(value):
         return f"<function {value.__name__}>"
-    if isinstance(value, eqx.Module | Printed):
+    if isinstance(value, Printed):
+        return value._in_short()
+    if isinstance(value, eqx.Module):
         return type(value).__name__
     if isinstance(value, Mapping):
         errors = error if isinstance(error, Mapping) else {}
@@ -138,6 +171,8 @@ def value_text(value: Any, error: Any = None) -> str:
     if isinstance(value, tuple | list) and any(map(_is_array, value)):
         errors = error if isinstance(error, tuple | list) else [None] * len(value)
         return ", ".join(map(value_text, value[:_FEW], errors[:_FEW]))
+    if isinstance(value, tuple | list) and any(isinstance(one, Printed | tuple) for one in value):
+        return ", ".join(map(value_text, value))
     if not _is_array(value) and not isinstance(value, float):
         return f"{value}"
     return _number_text(np.asarray(value), error)
@@ -163,13 +198,120 @@ def _number_text(array: Any, error: Any) -> str:
 
 
 def html_table(title: str, rows: Iterable[tuple[str, str]]) -> str:
-    """A small table of names and texts, escaped."""
+    """A small table of names and texts, escaped; long texts are cut."""
     left = ' style="text-align: left"'
+    rows = [(name, textwrap.shorten(text, 2 * _WIDTH, placeholder=" ...")) for name, text in rows]
     body = "".join(
         f"<tr><th{left}>{html.escape(name)}</th><td{left}>{html.escape(text)}</td></tr>"
         for name, text in rows
     )
     return f"<table><caption{left}>{html.escape(title)}</caption><tbody>{body}</tbody></table>"
+
+
+def _picture(shown: Any) -> str:
+    """The sketch of an object as inline SVG; empty without one, and for traced values."""
+    leaves = jax.tree.leaves(shown)
+    abstract = any(isinstance(leaf, Tracer | jax.ShapeDtypeStruct) for leaf in leaves)
+    sketch = None if abstract else shown._sketch()
+    return "" if sketch is None else svg(sketch)
+
+
+def svg(sketch: Sketch) -> str:
+    """A sketch as SVG, in the colour of the text around it; empty if nothing in it is finite.
+
+    A frame with the ends of both axes, lines, points and their labels.
+    """
+    lines = [_line(*line) for line in sketch.lines]
+    points = [(float(x), float(y), label) for x, y, label in sketch.points]
+    ends = []
+    for axis in (0, 1):
+        of_lines = [line[axis].ravel() for line in lines]
+        values = np.concatenate([*of_lines, [point[axis] for point in points]])
+        values = values[np.isfinite(values)]
+        if not values.size:
+            return ""
+        low, high = float(values.min()), float(values.max())
+        margin = 0.04 * (high - low) or 0.1 * abs(high) or 1.0
+        ends.append((low - margin, high + margin))
+    left, above = _MARGINS[0], _MARGINS[2]
+    sides = _SIDES[0] - left - _MARGINS[1], _SIDES[1] - above - _MARGINS[3]
+    if sketch.is_isotropic:
+        scale = max((high - low) / side for (low, high), side in zip(ends, sides, strict=True))
+        ends = [
+            (0.5 * (low + high - scale * side), 0.5 * (low + high + scale * side))
+            for (low, high), side in zip(ends, sides, strict=True)
+        ]
+
+    def pixels(x: Any, y: Any) -> np.ndarray:
+        u, v = (
+            (np.asarray(value) - low) / (high - low) * side
+            for value, (low, high), side in zip((x, y), ends, sides, strict=True)
+        )
+        return np.stack([left + u, above + sides[1] - v], -1).round(1)
+
+    parts = []
+    for x, y, solid in lines:
+        for column, dashed in itertools.product(y.T, (False, True)):
+            path = _path(pixels(x, np.where(_and_next(solid != dashed), column, np.nan)))
+            more = ' stroke-dasharray="4 3"' if dashed else ""
+            parts += [f'<path d="{path}"{more}/>'] * bool(path)
+    drawn = f'<g fill="none" stroke="#0072B2" stroke-width="1.4">{"".join(parts)}</g>'
+    dots, written = [], {""}
+    for x, y, label in points:
+        if not np.isfinite([x, y]).all():
+            continue
+        u, v = pixels(x, y)
+        dots.append(f'<circle cx="{u}" cy="{v}" r="3" fill="#D55E00"/>')
+        if label not in written:
+            written.add(label)
+            shift, anchor = (-6, "end") if u > left + 0.6 * sides[0] else (6, "start")
+            dots.append(_words(u + shift, max(v - 4, above + 10), label, anchor))
+    right, below, middle = left + sides[0], above + sides[1], above + 0.5 * sides[1]
+    (x_low, x_high), (y_low, y_high) = ends
+    texts = [
+        _words(left, below + 13, f"{x_low:.3g}", "start"),
+        _words(right, below + 13, f"{x_high:.3g}", "end"),
+        _words(0.5 * (left + right), below + 26, sketch.x, "middle"),
+        _words(left - 4, below, f"{y_low:.3g}", "end"),
+        _words(left - 4, above + 9, f"{y_high:.3g}", "end"),
+        f'<g transform="translate(12 {middle}) rotate(-90)">',
+        _words(0, 0, sketch.y, "middle") + "</g>",
+        f'<rect x="{left}" y="{above}" width="{sides[0]}" height="{sides[1]}" fill="none" '
+        'stroke="currentColor" stroke-width="0.8"/>',
+    ]
+    return (
+        f'<svg width="{_SIDES[0]}" height="{_SIDES[1]}" viewBox="0 0 {_SIDES[0]} {_SIDES[1]}" '
+        'font-family="sans-serif" font-size="11" xmlns="http://www.w3.org/2000/svg">'
+        f"{drawn}{''.join(dots)}{''.join(texts)}</svg>"
+    )
+
+
+def _line(x: Any, y: Any, solid: Any = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x (k,), y (k, lines) and where it is solid (k,)."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    y = y.reshape(x.size, -1)
+    return x, y, np.broadcast_to(np.asarray(solid, bool), x.shape)
+
+
+def _and_next(here: np.ndarray) -> np.ndarray:
+    """Where `here` holds, and the next point, so that pieces of a line meet."""
+    return here | np.concatenate([[False], here[:-1]])
+
+
+def _path(pixels: np.ndarray) -> str:
+    """The commands of an SVG path through points, with gaps at those that are not finite."""
+    commands, is_open = [], False
+    for u, v in pixels:
+        finite = bool(np.isfinite(u) and np.isfinite(v))
+        if finite:
+            commands.append(f"{'L' if is_open else 'M'}{u:g} {v:g}")
+        is_open = finite
+    return "".join(commands)
+
+
+def _words(x: float, y: float, text: str, anchor: str) -> str:
+    look = f'text-anchor="{anchor}" fill="currentColor"'
+    return f'<text x="{x:g}" y="{y:g}" {look}>{html.escape(text)}</text>'
 
 
 def _is_array(value: Any) -> bool:

@@ -5,12 +5,14 @@ A subcommand imports what it needs: help, and the list of scenes, are printed at
 
 from __future__ import annotations
 
+import _thread
 import argparse
 import contextlib
 import importlib.util
 import json
 import math
 import os
+import re
 import shlex
 import signal
 import sys
@@ -30,18 +32,55 @@ from .scenes.files import SceneError, builtin_scenes, read_scene, scene_file
 if TYPE_CHECKING:
     from .scenes.scene import LoadedScene
 
-_EXAMPLES = """\
-examples:
-  jaxchain run quickstart          draw a first figure, in seconds
-  jaxchain scenes                  list the built-in scenes
-  jaxchain scenes quickstart       print a scene file, to edit
-  jaxchain status results/mine     show the progress of a large run
-  jaxchain resume results/mine     continue an interrupted run
-  jaxchain report results/mine     write its report.html again
-  jaxchain COMMAND --help          list the options of a command
-
-exit status: 0 success, 1 failure, 2 wrong use, 130 interrupted (finished runs are saved)
-"""
+# Of the command and of each subcommand: words after `jaxchain`, and what they do.
+_EXAMPLES = {
+    "": (
+        ("run quickstart", "draw a first figure, in seconds"),
+        ("scenes", "list the built-in scenes"),
+        ("scenes quickstart", "print a scene file, to edit"),
+        ("status results/mine", "show the progress of a large run"),
+        ("resume results/mine", "continue an interrupted run"),
+        ("report results/mine", "write its report.html again"),
+        ("COMMAND --help", "list the options of a command, with examples"),
+    ),
+    "run": (
+        ("run quickstart", "a built-in scene"),
+        ("run my.toml --output second", "a scene file, into the folder second"),
+        ("run quickstart --set experiment.ladder.chain.n=8", "with another number"),
+        ("run results/my", "the same again, into another folder"),
+        ("run my.toml --workers 8", "in eight processes"),
+        ("run my.toml --law my_law.py:MyLaw", "with your own friction law"),
+    ),
+    "resume": (
+        ("resume results/my", "compute what is missing"),
+        ("resume results/my --workers 8", "in eight processes"),
+        ("resume results/my --law my_law.py:MyLaw", "a run with your own friction law"),
+    ),
+    "status": (
+        ("status results/my", "a folder of results"),
+        ("status plane.zarr --json", "the store of a sweep, for programs"),
+    ),
+    "report": (("report results/my", "write results/my/report.html again"),),
+    "scenes": (
+        ("scenes", "list the built-in scenes"),
+        ("scenes quickstart > my.toml", "copy one, to edit"),
+        ("scenes --schema > scene.json", "let an editor check your scenes"),
+    ),
+    "boundary": (
+        ("boundary", "one mass with the paper's parameters"),
+        ("boundary --n 20 --coupling 0.01", "one mass of a ring of twenty"),
+        ("boundary --mu-static 0.6 --mu-dynamic 0.4 --v-ref 0.3", "another friction law"),
+        ("boundary --damping-ratio 0.03 --json", "for programs"),
+    ),
+    "basins": (
+        ("basins", "the paper's parameters"),
+        ("basins --belt-speed 1.3 --width 1e-2", "another belt speed and width"),
+        ("basins --displacement -1 1 --velocity 0 0.5", "starts in another box"),
+    ),
+}
+_STATUS = (
+    "exit status: 0 success, 1 failure, 2 wrong use, 130 interrupted (finished runs are saved)\n"
+)
 
 # The numbers that `boundary` and `basins` take, those of the paper by default.
 _BOUNDARY = ("width", "damping_ratio", "coupling", "mu_static", "mu_dynamic", "v_ref")
@@ -101,7 +140,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _interruptible() -> Iterator[None]:
     """Raises `KeyboardInterrupt` on Ctrl-C, also where compiled code turns it into another error.
 
-    JAX does so while it compares static arguments, Matplotlib while it draws a path.
+    JAX does so while it compares static arguments, Matplotlib while it draws a path.  In a
+    callback, such as JAX's for the garbage collector, Python would report and forget it.
     """
     came: list[int] = []
     main_thread = threading.current_thread() is threading.main_thread()
@@ -112,6 +152,13 @@ def _interruptible() -> Iterator[None]:
         came.append(number)
         usual[number](number, frame)
 
+    def again(unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            threading.Timer(0.01, _thread.interrupt_main).start()  # after the callback
+        else:
+            reported(unraisable)
+
+    reported, sys.unraisablehook = sys.unraisablehook, again
     for number in usual:
         signal.signal(number, note)
     try:
@@ -121,21 +168,52 @@ def _interruptible() -> Iterator[None]:
             raise KeyboardInterrupt from None
         raise
     finally:
+        sys.unraisablehook = reported
         for number, handler in usual.items():
             signal.signal(number, handler)
 
 
+def _import_jax() -> None:
+    """Imports JAX as a whole: a signal counts when it is done.
+
+    The C++ of JAX and numpy prints a traceback, or aborts, if an import of its own is interrupted.
+    """
+    came: list[int] = []
+    main_thread = threading.current_thread() is threading.main_thread()
+    before = {number: signal.getsignal(number) for number in _SIGNALS if main_thread}
+    for number in before:
+        signal.signal(number, lambda number, frame: came.append(number))
+    try:
+        import jax  # noqa: F401
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt
+
+
+def _layout(command: str = "") -> dict[str, Any]:
+    """How help is set, with the examples of a subcommand."""
+    examples = _EXAMPLES[command]
+    width = max(len(words) for words, _ in examples)
+    lines = [f"  jaxchain {words:<{width}}  {text}" for words, text in examples]
+    epilog = "\n".join(["examples:", *lines, "", _STATUS])
+    return {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": epilog}
+
+
 def _parser() -> argparse.ArgumentParser:
-    layout: Any = {"formatter_class": argparse.RawDescriptionHelpFormatter, "epilog": _EXAMPLES}
     about = "Simulates chains of friction-excited oscillators."
-    parser = argparse.ArgumentParser("jaxchain", description=about, **layout)
+    parser = argparse.ArgumentParser("jaxchain", description=about, **_layout())
     parser.add_argument("--version", action="version", version=f"jaxchain {__version__}")
+    help_ = "print what completes words on Tab in bash, zsh, fish, tcsh or powershell"
+    parser.add_argument("--completion", metavar="SHELL", action=_Completion, help=help_)
     parser.set_defaults(command=lambda options: parser.print_help())
     commands = parser.add_subparsers(metavar="COMMAND")
 
     def add(command: Callable[..., int | None], text: str, *options: Any) -> Any:
+        name = command.__name__.strip("_")
         one = commands.add_parser(
-            command.__name__.strip("_"), help=text.partition(".")[0], description=text, **layout
+            name, help=re.split(r"\.\s|\.$", text)[0], description=text, **_layout(name)
         )
         one.set_defaults(command=command)
         for option in options:
@@ -178,6 +256,32 @@ def _parser() -> argparse.ArgumentParser:
         box: Any = {"nargs": 2, "metavar": ("LOW", "HIGH"), "default": (low, 2.0)}
         basins.add_argument(f"--{name}", type=float, help=f"of the starts ({low:g} 2)", **box)
     return parser
+
+
+class _Completion(argparse.Action):
+    """Prints a script for a shell, which completes subcommands, options, files and scenes."""
+
+    def __call__(
+        self, parser: Any, namespace: Any, values: Any, option_string: str | None = None
+    ) -> None:
+        if importlib.util.find_spec("shtab") is None:
+            parser.error("--completion needs shtab: pip install 'jaxchain[completion]'")
+        import shtab
+
+        if values not in shtab.SUPPORTED_SHELLS:
+            parser.error(f'--completion knows {", ".join(shtab.SUPPORTED_SHELLS)}, not "{values}"')
+        names = " ".join(builtin_scenes())
+        both = "_jaxchain_scene_file"
+        choose = f'{both}() {{ compgen -W "{names}" -- "$1"; compgen -f -- "$1"; }}'
+        scenes = shtab.FILE | {"bash": both, "preamble": {"bash": choose}}
+        kinds = {"scene": scenes, "folder": shtab.DIRECTORY, "output": shtab.DIRECTORY}
+        kinds |= dict.fromkeys(("law", "model", "observer"), shtab.FILE)
+        (commands,) = (one for one in parser._actions if isinstance(one.choices, dict))
+        for action in (action for one in commands.choices.values() for action in one._actions):
+            if action.dest in kinds:
+                action.complete = kinds[action.dest]
+        print(shtab.complete(parser, values))
+        parser.exit()
 
 
 def _add_scene_options(parser: argparse.ArgumentParser) -> None:
@@ -389,6 +493,7 @@ def _run_in_lines(run: dict[str, Any]) -> Iterator[str]:
 
 
 def _report(options: argparse.Namespace) -> None:
+    _import_jax()
     configure(devices=0, whole_loops=False, cache=False)  # the page has the precision of the run
     from .scenes.report import renew_page
 
@@ -563,6 +668,7 @@ def _chain(options: argparse.Namespace, n: int, **numbers: Any) -> Any:
 
 
 def _configure(options: argparse.Namespace) -> None:
+    _import_jax()
     configure(cache=not options.no_cache)
     if options.no_cache:
         import jax

@@ -618,7 +618,7 @@ def test_it_tells_its_version(capsys):
     assert capsys.readouterr().out == f"jaxchain {jaxchain.__version__}\n"
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"]])
+@pytest.mark.parametrize("arguments", [["--help"]])
 def test_help_shows_an_example_that_is_understood(arguments, workplace, capsys):
     with pytest.raises(SystemExit):
         main(arguments)

@@ -1,9 +1,13 @@
-"""The `repr` of models and results."""
+"""The `repr` of models and results, and how notebooks show them."""
+
+import re
+from xml.etree import ElementTree
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxchain
 from jaxchain import (
@@ -14,12 +18,19 @@ from jaxchain import (
     Scales,
     SearchResult,
     TanhFriction,
+    Trajectory,
+    continue_cycle,
+    equation_8,
+    find_limit_cycle,
     paper_chain,
     simulate,
     steady_sliding,
 )
-from jaxchain.boundaries import StabilityRange, find_fold
-from jaxchain.inverse import Measurements, identify
+from jaxchain._printing import Sketch, svg
+from jaxchain.basins import VibratingMasses
+from jaxchain.boundaries import StabilityRange, complex_modes, find_fold
+from jaxchain.continuation import continue_branch
+from jaxchain.inverse import Measurements, Profile, identify
 from jaxchain.model import DimensionalParameters, MechanicalCells, TabulatedFriction, VanDerPol
 from jaxchain.result import Outcome, Printed
 
@@ -177,3 +188,99 @@ def test_every_result_prints_alike():
             cls = getattr(getattr(jaxchain, module), name)
             if isinstance(cls, type) and issubclass(cls, Printed):
                 assert cls.__repr__ is Printed.__repr__
+
+
+def texts_of(picture):
+    """The words of an SVG, which must be well-formed."""
+    root = ElementTree.fromstring(picture)
+    return ["".join(text.itertext()) for text in root.iter() if text.tag.endswith("}text")]
+
+
+def sketch_of(shown):
+    table, mark, picture = shown._repr_html_().partition("<svg")
+    assert table.startswith("<table>")
+    assert mark
+    return texts_of(mark + picture)
+
+
+@pytest.fixture(scope="module")
+def branch():
+    cycle = find_limit_cycle(paper_chain(1, belt_speed=1.7, width=1e-2))
+    return cycle, continue_cycle(cycle, max_step=0.5)
+
+
+def test_models_and_laws_are_drawn_by_their_friction():
+    chain = paper_chain(2, belt_speed=1.5, width=None)
+    cells = MechanicalCells(1.0, friction=chain.law, belt_speed=lambda t: t)
+    for shown in (
+        chain,
+        chain.with_(width=1e-2),
+        chain.law,
+        chain.with_(width=0.1).friction,
+        cells,
+    ):
+        assert "friction per load" in sketch_of(shown)
+    assert "steady sliding" in sketch_of(chain)
+    assert "steady sliding" not in sketch_of(cells)
+    # The jump: a vertical stroke between the static limits, at the place of w = 0.
+    sketch = chain.law._sketch()
+    ((w, force),) = sketch.lines
+    np.testing.assert_allclose(force[w == 0, 0], [1.0, -1.0])
+    np.testing.assert_allclose(force[w > 0, 0], -chain.law.coefficient(w[w > 0]))
+
+
+def test_runs_are_drawn_over_time_or_over_the_masses():
+    chain = paper_chain(2)
+    start = equation_8(chain, 1)
+    assert "time" in sketch_of(simulate(chain, start, 5.0, observe=Trajectory(np.arange(6.0))))
+    assert "displacement at the end" in sketch_of(simulate(chain, start, 5.0, observe=Amplitude()))
+    one = paper_chain(1)
+    assert "<svg" not in simulate(one, equation_8(one, 1), 5.0)._repr_html_()
+
+
+def test_cycles_branches_and_curves_are_drawn(branch):
+    cycle, followed = branch
+    assert "Re of multipliers" in sketch_of(cycle)
+    assert {"belt_speed", "greatest amplitude", "fold", "hopf"} <= {*sketch_of(followed)}
+    # Cycles between the fold and the Hopf point are unstable.
+    assert followed._repr_html_().count("stroke-dasharray") == 1
+    assert "special: fold at 1.79246, hopf at 1.15129" in repr(followed)
+    ring = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0)
+    assert "fold" in sketch_of(ring)
+
+
+def test_modes_and_profiles_are_drawn_over_their_values():
+    rows, change = [[2.0, 0.5], [0.5, 1.0]], {"friction": [[0.0, -1.0], [0.0, 0.0]]}
+    pads = MechanicalCells(rows, damping=[0.02, 0.03], plus=change)
+    modes = complex_modes(pads, over={"friction": jnp.linspace(0.0, 1.4, 5)})
+    assert {"friction", "growth rate"} <= {*sketch_of(modes)}
+    assert "frequency" in sketch_of(complex_modes(pads))
+    of_one = map(jnp.asarray, ([0.0, 1.0, 2.0], [4.0, 1.0, 4.0], 1.0, 0.5, -jnp.inf, 0.95))
+    text = Profile(*of_one)._repr_html_()
+    assert "χ²" in text
+    assert text.count("<circle") == 1  # the interval ends on one side
+
+
+def test_values_that_are_traced_are_not_drawn():
+    seen = []
+    chain = paper_chain(2)
+    jax.jit(lambda chain: seen.append(chain._repr_html_()) or chain.belt_speed)(chain)
+    run = jax.vmap(lambda v: simulate(chain.with_(belt_speed=v), equation_8(chain, 1), 1.0))
+    seen.append(run(jnp.array([1.0, 1.5]))._repr_html_())
+    assert all(text.startswith("<table>") and "<svg" not in text for text in seen)
+
+
+def test_a_sketch_leaves_out_what_is_not_finite_and_escapes_words():
+    x = np.arange(4.0)
+    drawn = svg(Sketch("a < b", "y", [(x, [1.0, np.nan, 3.0, 4.0])], [(np.inf, 1.0, "far")]))
+    assert "a < b" in texts_of(drawn)
+    assert "far" not in texts_of(drawn)
+    (path,) = re.findall(r' d="([^"]*)"', drawn)
+    assert re.sub("[^ML]", "", path) == "MML"
+    assert svg(Sketch("x", "y", [(x, np.full(4, np.nan))])) == ""
+
+
+def test_what_is_observed_and_how_runs_are_classified_prints_its_values():
+    assert repr(Trajectory([0.0, 1.0])) == "Trajectory(times=[0, 1])"
+    assert "agree=0.02" in repr(VibratingMasses(agree=0.02))
+    assert "f64" not in repr(VibratingMasses())

@@ -8,6 +8,8 @@ from myst_parser.parsers.sphinx_ import MystParser
 from sphinx.util.docutils import SphinxDirective
 
 EXAMPLE = re.compile(r"^!!! (\w+)\n+((?:(?:    .*)?(?:\n|\Z))+)", re.MULTILINE)
+# Up to an empty line; without a fence Markdown would read a quotation.
+SESSION = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)
 
 
 def as_markdown(text: str) -> str:
@@ -15,11 +17,9 @@ def as_markdown(text: str) -> str:
 
     def plain(found: re.Match) -> str:
         block = textwrap.dedent(found[2]).strip("\n")
-        if block.startswith(">>>"):
-            block = f"```pycon\n{block}\n```"
         return f"**{found[1].capitalize()}:**\n\n{block}\n\n"
 
-    return EXAMPLE.sub(plain, text)
+    return SESSION.sub(lambda found: f"```pycon\n{found[0]}\n```", EXAMPLE.sub(plain, text))
 
 
 class MarkdownDirective(SphinxDirective):

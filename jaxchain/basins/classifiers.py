@@ -29,6 +29,7 @@ from .._checks import (
     shown,
 )
 from .._internals import unvmap_any
+from .._printing import PrintedAsCall
 from .._types import ScalarLike, State
 from ..continuation.damped_newton import where
 from ..model.arguments import as_chain
@@ -68,7 +69,7 @@ class Settled(Printed, eqx.Module):
     since: Float[Array, ""]
 
 
-class AbstractClassifier(AbstractObserver):
+class AbstractClassifier(PrintedAsCall, AbstractObserver):
     """An observer that classifies the final state of a run, for `basin_shares`.
 
     Its `label` gives at least the variables `state`, integers of any shape, `decided`, whether the

@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Array, Complex, Float, Int
 
 from .._checks import as_array, check_finite, check_flag, check_kind, is_traced, shown, to_float
+from .._printing import Sketch
 from .._types import Given, ScalarLike, State, StateLike
 from ..continuation.damped_newton import check_tolerance
 from ..continuation.implicit import attach_derivative, if_found
@@ -66,6 +67,15 @@ class ComplexModes(Outcome):
     steps: Int[Array, " k"]
     parameter: str | None = eqx.field(static=True)
     may_be_missing: ClassVar[tuple[str, ...]] = ("eigenvalues", "slopes", "shapes", "mac")
+
+    def _sketch(self) -> Sketch | None:
+        """The growth rates over the parameter; of one value the eigenvalues."""
+        if np.size(self.values) > 1:
+            zero = np.zeros_like(self.values)
+            lines = [(self.values, self.growth_rate), (self.values, zero, zero > 0)]
+            return Sketch(self.parameter or "value", "growth rate", lines)
+        points = [(one.real, one.imag, "") for one in np.ravel(self.eigenvalues)]
+        return Sketch("growth rate", "frequency", points=points)
 
     @property
     def frequency(self) -> Float[Array, "k modes"]:

@@ -33,6 +33,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._printing import Sketch
 from .._types import Given, ScalarLike, State
 from ..continuation.arclength import continue_branch
 from ..continuation.branch import ENDINGS, Branch
@@ -508,6 +509,9 @@ class CurvePoint(Printed):
     index: int
     unknowns: Float[np.ndarray, " more"]
 
+    def _in_short(self) -> str:
+        return f"{self.kind} at ({self.first:.6g}, {self.second:.6g})"
+
 
 @dataclass(frozen=True, repr=False)
 class SpecialCurve(Printed):
@@ -549,6 +553,11 @@ class SpecialCurve(Printed):
     ended: tuple[str, str]
     equations: tuple[Any, ...]
     unknowns: Float[np.ndarray, "k more"]
+
+    def _sketch(self) -> Sketch:
+        """The curve in the plane of its two parameters."""
+        points = [(point.first, point.second, point.kind) for point in self.special]
+        return Sketch(*self.names, [(self.first, self.second)], points)
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -568,8 +568,8 @@ def _chunk(task: _VerdictTask, t0: Array, reference: Array, *state: Array) -> An
     section, others = Section(reference, MOST_RETURNS + 1), []
     if task.forced is not None:
         section = Samples(task.forced, MOST_RETURNS + 1)
-    rate = task.chain.velocity_of(0)  # turns where the first variable does
-    others = [Amplitude(component=k) for k in range(1, len(state)) if k != rate]
+    is_one_mass = len(state) == 2 and task.chain.velocity_of(0) == 1  # both turn together
+    others = [Amplitude(component=k) for k in range(1, 1 if is_one_mass else len(state))]
     watch = Amplitude(), PeakTimes(capacity=task.peaks), section, others
     run = simulate(
         task.chain,

@@ -13,8 +13,8 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .._printing import Printed, Sketch
 from ..datasets import Variable, along, dataset, oscillators
-from ..result import Printed
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -102,6 +102,9 @@ class SpecialPoint(Printed):
     extra: Any = None
     other: Float[np.ndarray, " m_plus_1"] | None = None
 
+    def _in_short(self) -> str:
+        return f"{self.kind} at {self.p:.6g}"
+
 
 @dataclass
 class Counts:
@@ -158,6 +161,15 @@ class Branch(Printed):
     ended_first: str = ""
     stable: Bool[np.ndarray, " k"] | None = None
     labels: Labels | None = None
+
+    def _sketch(self) -> Sketch:
+        """The first unknown over the parameter; dashed where equilibria are unstable."""
+        x, y = "p", "u[0]"
+        if self.labels is not None:
+            x, y = self.labels.parameter, self.labels.parts[0][0]
+        line = (self.p, self.u[:, 0], True if self.stable is None else self.stable)
+        points = [(point.p, point.u[0], point.kind) for point in self.special]
+        return Sketch(x, y, [line], points)
 
     @property
     def message(self) -> str:

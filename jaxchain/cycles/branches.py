@@ -27,6 +27,7 @@ from .._checks import (
     shown,
     to_float,
 )
+from .._printing import Sketch
 from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..continuation.arclength import (
     Switched,
@@ -107,6 +108,9 @@ class CyclePoint(Printed):
     scaled_peak_velocity: float
     symmetries: tuple[CycleSymmetry, ...] = ()
 
+    def _in_short(self) -> str:
+        return f"{self.kind} at {self.parameter:.6g}"
+
     @property
     def kind(self) -> str:
         """The name of the kind."""
@@ -178,6 +182,12 @@ class CycleBranch(Printed):
     special: tuple[CyclePoint, ...]
     pieces: tuple[tuple[AbstractOrbit, Branch], ...]
     mass: int
+
+    def _sketch(self) -> Sketch:
+        """The greatest amplitude over the parameter; dashed where cycles are unstable."""
+        line = (self.parameter, np.max(self.amplitude, axis=1), self.unstable == 0)
+        points = [(one.parameter, np.max(one.amplitude), one.kind) for one in self.special]
+        return Sketch(self.name, "greatest amplitude", [line], points)
 
     @property
     def orbit(self) -> Any:

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Complex, Float, Int
 
 from .._checks import as_array, check_positive_number, is_traced, shown, to_float
+from .._printing import Sketch
 from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.chain import require_smoothed
@@ -405,6 +407,14 @@ class LimitCycle(Outcome):
     mass: int = eqx.field(static=True)
     times_round: Int[Array, ""] = eqx.field(default_factory=lambda: jnp.ones((), int))
     turns: int | None = eqx.field(static=True, default=None)
+
+    def _sketch(self) -> Sketch:
+        """The multipliers and the unit circle, inside of which disturbances die out."""
+        angle = np.linspace(0.0, 2.0 * np.pi, 181)
+        multipliers = np.ravel(self.multipliers)
+        points = [(mu.real, mu.imag, "") for mu in multipliers]
+        circle = (np.cos(angle), np.sin(angle))
+        return Sketch("Re of multipliers", "Im", [circle], points, is_isotropic=True)
 
     @property
     def scaled_peak_velocity(self) -> Float[Array, " n"]:

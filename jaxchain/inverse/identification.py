@@ -25,6 +25,7 @@ from .._checks import (
     is_traced,
     to_float,
 )
+from .._printing import Sketch
 from .._types import Given, ScalarLike
 from ..continuation.damped_newton import where
 from ..continuation.gradient_descent import MOST_STEPS, stay_inside
@@ -302,6 +303,13 @@ class Profile(Printed, eqx.Module):
     low: Float[Array, ""]
     high: Float[Array, ""]
     confidence: Float[Array, ""]
+
+    def _sketch(self) -> Sketch:
+        """chi^2 over the number, with the ends of the interval."""
+        ends = [
+            (x, np.interp(x, self.values, self.chi_squared), "") for x in (self.low, self.high)
+        ]
+        return Sketch("value", "χ²", [(self.values, self.chi_squared)], ends)
 
 
 def profile(

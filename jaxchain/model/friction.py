@@ -32,7 +32,7 @@ from .._checks import (
 )
 from .._computed_once import spread
 from .._final import final, refuse_overrides
-from .._printing import PrintedAsCall
+from .._printing import PrintedAsCall, Sketch
 from .._types import PerMass
 from .parameters import CHAIN, parameter
 
@@ -148,6 +148,22 @@ class AbstractFriction(PrintedAsCall, eqx.Module):
     @abc.abstractmethod
     def with_(self, **changes: Any) -> Any:
         """A copy with other parameters; a `width` smooths a law, and None makes friction dry."""
+
+    def _sketch(self, reach: float = 1.0, belt_speed: Any = None) -> Sketch:
+        """F over relative velocities up to `reach`; steady sliding on a belt of this speed."""
+        speeds = reach * np.concatenate([np.geomspace(1e-7, 1e-3, 60), np.linspace(2e-3, 1, 200)])
+        w = np.concatenate([-speeds[::-1], speeds])
+        force = np.asarray(self.force(jnp.asarray(w)[:, None]))
+        law: Any = vars(self).get("law", self)
+        if law is self:  # dry: it jumps
+            w = np.concatenate([w[:260], [0.0, 0.0], w[260:]])
+            static = np.broadcast_to(to_float(law.mu_static), force.shape[1:])
+            force = np.concatenate([force[:260], [static, -static], force[260:]])
+        points = []
+        if belt_speed is not None:
+            forces = np.ravel(self.force(-to_float(belt_speed)))
+            points = [(-belt_speed, force, "steady sliding") for force in forces]
+        return Sketch("relative velocity", "friction per load", [(w, force)], points)
 
     def force_and_slope(
         self, relative_velocity: Float[ArrayLike, "..."]

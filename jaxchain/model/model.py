@@ -14,10 +14,11 @@ from typing import Any, ClassVar, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._checks import check_known, to_float
-from .._printing import PrintedAsCall
+from .._printing import PrintedAsCall, Sketch
 from .._types import PerMass, ScalarLike, State
 from .contacts import Contact
 from .entries import array_of, entry, with_entries
@@ -53,6 +54,16 @@ class AbstractModel(PrintedAsCall, eqx.Module):
                 f"`{cls.__name__}` cannot be a subclass of `AbstractModel`, which no solver sees "
                 "the structure of: subclass `AbstractCells` or `AbstractOscillators`."
             )
+
+    def _sketch(self) -> Sketch | None:
+        """The friction force, with steady sliding."""
+        friction = self.given_friction
+        if friction is None:
+            return None
+        speed: Any = vars(self).get("belt_speed")
+        speed = float(speed) if eqx.is_array_like(speed) and np.ndim(speed) == 0 else None
+        unit = float(np.max(self.natural_scales()[1]))
+        return friction._sketch(max(1.25 * abs(speed or 0.0), unit), speed)
 
     # None of these is a field unless a subclass makes it one: with an annotation it would be.
     ends = "cyclic"

@@ -59,6 +59,7 @@ class DimensionalParameters(NamedTuple):
 
     __repr__ = PrintedAsCall.__repr__
     _repr_html_ = PrintedAsCall._repr_html_
+    _sketch = PrintedAsCall._sketch
 
 
 FROM_SI = "`Scales.from_dimensional` makes it from SI units."

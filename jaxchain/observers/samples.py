@@ -28,12 +28,13 @@ from .._checks import (
 from .._computed_once import materialize
 from .._derivatives import both_ways
 from .._internals import unvmap_any, while_loop
+from .._printing import PrintedAsCall
 from .._types import ScalarLike, State
 from ..model.model import AbstractModel
 from .base import AbstractNotingObserver, Step, Variable, all_finite, states_at_times
 
 
-class Trajectory(eqx.Module):
+class Trajectory(PrintedAsCall, eqx.Module):
     """The state at given times: value (x, v), both of shape (len(times), n), or all m arrays.
 
     **Arguments:** `times`, dimensionless, increasing, within the run.

@@ -21,6 +21,7 @@ from .._checks import (
     to_float,
 )
 from .._derivatives import both_ways
+from .._printing import Sketch
 from .._types import Given, ScalarLike, State, StateLike
 from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
@@ -66,6 +67,21 @@ class Simulation(Printed, eqx.Module):
 
     def _instead(self) -> dict[str, str]:
         return {"origin": ""}
+
+    def _sketch(self) -> Sketch | None:
+        """The first variable: over time of a `Trajectory`, otherwise of each mass at the end."""
+        if self.origin.chain is None:  # traced when it was made
+            return None
+        name = self.origin.chain.variable(0).name
+        observed = self.origin.treedef.flatten_up_to(self.observed)
+        for observer, value in zip(self.origin.observers, observed, strict=True):
+            if isinstance(observer, Trajectory):
+                first = np.reshape(value[0], (-1, self.state[0].size))
+                return Sketch("time", name, [(observer.times, first)])
+        if self.state[0].size < 2:
+            return None
+        masses = np.arange(1, self.state[0].size + 1)
+        return Sketch("oscillator", f"{name} at the end", [(masses, self.state[0])])
 
     def to_dataset(self) -> Dataset:
         """The run as an `xarray.Dataset`, with the names, units and attributes of `sweep`.

@@ -10,12 +10,20 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.orbits import closed_orbit
 
-from jaxchain import EventDriven, equation_8, paper_chain, simulate
+from jaxchain import (
+    EventDriven,
+    ExponentialDecay,
+    equation_8,
+    find_limit_cycle,
+    paper_chain,
+    simulate,
+)
 from jaxchain.chaos.classification import verdict, verdicts
 from jaxchain.model import (
     AbstractCells,
     Duffing,
     LuGre,
+    MechanicalCells,
     ModeCoupling,
     Pendulums,
     VanDerPol,
@@ -463,3 +471,16 @@ def test_a_state_or_force_of_cells_that_does_not_fit_is_refused(cells, initial, 
     if isinstance(initial, tuple):
         with pytest.raises(ValueError, match=match):
             verdicts(cells, tuple(part[None] for part in initial))
+
+
+@pytest.mark.parametrize("width", [None, 1e-2])
+def test_cells_of_two_displacements_have_verdicts(width):
+    """Flutter of two modes on a belt ends in a cycle, whose period a search finds, too."""
+    law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
+    rows = [[1.0, 0.3], [0.3, 2.0]]
+    cells = MechanicalCells(rows, damping=0.05, friction=law, belt_speed=0.5).with_(width=width)
+    start = (jnp.full(1, 0.1),) * 4
+    found = verdict(cells, start, noise=(1e-3,), seeds=1)
+    assert found.verdict == "periodic"
+    cycle = find_limit_cycle(cells, simulate(cells, start, 300.0))
+    assert abs(found.lead.period - float(cycle.period)) < 1e-6

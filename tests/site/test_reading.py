@@ -25,11 +25,31 @@ QUESTIONS = {
     "gradient": ("guides/gradients",),
     "accuracy": ("guides/accuracy",),
     "cite": ("cite",),
-    "brake squeal": ("why",),
+    "brake squeal": ("why", "guides/squeal_from_matrices"),
+    # Tasks in a newcomer's words.
+    **dict.fromkeys(
+        (
+            "where does vibration begin", "change the friction curve", "export results to excel",
+            "continue after ctrl-c", "plot amplitude over belt speed", "unstable limit cycle",
+            "does it run on gpu", "figure for a paper", "probability of vibration",
+        ),
+        ("faq",),
+    ),
+    "convert newton and metre": ("guides/units",),
+    "brake pad with stiffness matrix": ("guides/squeal_from_matrices",),
+    "random stiffness of masses": ("guides/maps_and_scatter",),
+    "damping to avoid squeal": ("faq", "guides/squeal_from_matrices"),
 }  # fmt: skip
+# Words of which functions have the answer: those that must come first, in any order.
+FUNCTIONS = {
+    "hopf": {"find_hopf_point", "hopf_belt_speed", "hopf_by_descent", "hopf_points"},
+    "limit cycle": {"find_limit_cycle", "find_limit_cycles"},
+    "fold": {"find_fold", "fold_belt_speed", "fold_point", "fold_by_descent"},
+}
 # Elements of a page that are wider than their place: they would be cut, or have to be scrolled.
 CUT = """() => [...document.querySelectorAll(
-    'mjx-container[display="true"], .bd-article pre, .bd-article div.math'
+    'mjx-container[display="true"], .bd-article pre, .bd-article div.math, '
+    + '.bd-article :is(p, li):not(table *)'
 )].filter(e => e.clientWidth && e.scrollWidth > e.clientWidth + 1).map(e => e.textContent)"""
 
 
@@ -126,6 +146,31 @@ def test_a_search_in_a_users_words_has_the_right_page_first(address, open_tab):
     assert not wrong
 
 
+def test_functions_named_by_the_words_of_a_search_come_first(address, open_tab):
+    tab = open_tab(address).tab
+    for words, names in FUNCTIONS.items():
+        tab.goto(f"{address}search.html?q={quote_plus(words)}", wait_until="load")
+        first_result(tab)
+        links = tab.locator("#search-results ul.search > li > a").all()[: len(names)]
+        found = {link.inner_text().rsplit(".", 1)[-1] for link in links}
+        assert found == names, words
+
+
+def test_a_search_without_a_page_of_all_words_finds_those_of_most(address, open_tab):
+    tab = open_tab(address).tab
+    tab.goto(f"{address}search.html?q=squeal+xylophone+matrices", wait_until="load")
+    assert "squeal_from_matrices" in first_result(tab)
+    tab.goto(f"{address}search.html?q=xylophone+quark", wait_until="load")
+    tab.locator("#search-results p.search-summary").filter(has_text="did not match").wait_for()
+    assert tab.locator("#search-results ul.search > li").count() == 0
+
+
+def test_sessions_of_docstrings_are_code(built):
+    """Markdown would read `>>>` as a quotation."""
+    for page in (built / "reference").glob("*.html"):
+        assert "<blockquote" not in page.read_text(encoding="utf-8"), page.name
+
+
 def test_results_appear_while_typing(address, open_tab):
     tab = open_tab(address).tab
     tab.goto(address, wait_until="load")
@@ -142,9 +187,10 @@ def test_code_is_copied_without_prompts(address, open_tab):
     block.locator("button.copybtn").click()
     watched.tab.wait_for_function("navigator.clipboard.readText().then(text => text !== '')")
     copied = watched.tab.evaluate("navigator.clipboard.readText()")
-    assert copied.startswith("import jax\n")
+    assert copied.startswith("import jax, jax.numpy as jnp\n")
     assert ">>>" not in copied
-    assert "1.792" not in copied  # what is printed
+    assert "[[0.89  1.486]" in block.inner_text()  # what is printed
+    assert "1.486" not in copied
     compile(copied, "copied", "exec")
 
 
