@@ -15,6 +15,8 @@ from .._checks import (
     check_kind,
     check_nonnegative,
     check_number,
+    check_per_mass,
+    check_positive,
     is_traced,
     named,
     numbers_of,
@@ -94,12 +96,11 @@ class Contact(PrintedAsCall, eqx.Module):
     def __check_init__(self) -> None:
         wanted = "a friction law (dry friction) or `TanhFriction(law, width)`"
         check_kind("friction", self.friction, AbstractFriction, wanted)
-        for name in ("normal_load", "belt_speed"):
-            value = getattr(self, name)
-            if not callable(value):
-                check_finite(name, value)
+        if not self.moving:
+            check_finite("belt_speed", self.belt_speed)
         if not self.varying:
             check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
+        check_per_mass(**self.numbers())
 
     @property
     def law(self) -> AbstractFrictionLaw:
@@ -199,12 +200,14 @@ class Stop(PrintedAsCall, eqx.Module):
 
     def __check_init__(self) -> None:
         check_finite("gap", self.gap)
+        check_per_mass(gap=self.gap)
         check_number("restitution", self.restitution)
-        if not is_traced(self.restitution) and not 0.0 < float(self.restitution) <= 1.0:
+        remedy = "a mass that stays at a stop needs an elastic one, a `local_force`."
+        check_positive("restitution", self.restitution, remedy)
+        if not is_traced(self.restitution) and float(self.restitution) > 1.0:
             raise ValueError(
-                "Argument `restitution` must be above 0 and at most 1, but is "
-                f"{float(self.restitution):g}: a mass that stays at a stop needs an elastic one, "
-                "a `local_force` that grows beyond the gap."
+                f"Argument `restitution` must be at most 1, but is {shown(self.restitution)}: an "
+                "impact gives no energy."
             )
 
     def numbers(self) -> dict[str, Any]:

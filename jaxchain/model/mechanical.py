@@ -260,12 +260,6 @@ class MechanicalCells(AbstractCells):
         if self.friction is not None:
             wanted = "None, a friction law (dry friction) or `TanhFriction(law, width)`"
             check_kind("friction", self.friction, AbstractFriction, wanted)
-        if self.friction is not None and self.contacts:
-            raise ValueError(
-                "Arguments `friction` and `contacts` exclude each other: give all contacts in "
-                "`contacts`, the first one as `Contact((1, ...), friction, normal_load, "
-                "belt_speed)`."
-            )
         for name, usual in zip(_DRIVES, (1.0, 0.0), strict=False):
             given: Any = getattr(self, name)
             known = callable(given) or not is_traced(given)
@@ -275,6 +269,12 @@ class MechanicalCells(AbstractCells):
                     f"give it to each `Contact(..., {name}=...)`."
                 )
         check_contacts(self.contacts, self.stops, d, self.n)
+        if self.friction is not None and self.contacts:
+            raise ValueError(
+                "Arguments `friction` and `contacts` exclude each other: give all contacts in "
+                "`contacts`, the first one as `Contact((1, ...), friction, normal_load, "
+                "belt_speed)`."
+            )
         if self.stops and self.friction is not None and not self.dry:
             raise ValueError(
                 "Argument `stops` needs dry friction, because only event-driven runs find "

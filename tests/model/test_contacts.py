@@ -231,7 +231,7 @@ PAD = Contact(1.0, RUBBER)
         (lambda: Contact((0, 0), Coulomb(0.3)), "not all 0"),
         (lambda: Contact((1, 0), 0.3), "friction law"),
         (lambda: Contact((1, 0), Coulomb(0.3), -1.0), "cannot pull"),
-        (lambda: Stop(1.0, 0.5, 0.0), "above 0"),
+        (lambda: Stop(1.0, 0.5, 0.0), "positive"),
         (lambda: Stop(1.0, 0.5, 1.1), "at most 1"),
         (lambda: MechanicalCells(1.0, stops=[Stop((1, 0), 1.0)]), r"stops\[0\].direction"),
         (lambda: MechanicalCells(1.0, contacts=PAD), "a list"),

@@ -79,7 +79,18 @@ def rows() -> Iterator[Row]:
         coupling=(*wrong, [1.0] * 3, shape), spring=("x", 1.0, lambda e: (*e, e[0])),
         local_force=("x", 1.0), friction=("x", 0.5, {}, ExponentialDecay), belt_speed=NUMBER,
         normal_load=PER_MASS_0, sliding=(*COUNT[:5], 2), force=(None, *wrong, [1.0] * 3),
-        frequency=POSITIVE, names=(("x",), "xyz"),
+        frequency=POSITIVE, names=(("x",), "xyz"), contacts=("x", 1.0, [LAW]),
+        stops=("x", 1.0, [LAW]),
+    )  # fmt: skip
+    direction = (None, "x", {}, 1j, 0.0, [math.nan], [[1.0]])
+    yield row(
+        "Contact", {"direction": 1.0, "friction": LAW}, direction=direction,
+        friction=(None, "x", 0.5, {}, ExponentialDecay),
+        normal_load=(-1.0, "x", math.nan, [[1.0]]), belt_speed=("x", math.nan, [[1.0]]),
+    )  # fmt: skip
+    yield row(
+        "Stop", {"direction": 1.0, "gap": 1.0}, direction=direction, gap=("x", math.nan, [[1.0]]),
+        restitution=(*POSITIVE, 1.5),
     )  # fmt: skip
     bad_of = {"positive": PER_MASS, "nonnegative": PER_MASS_0, "any": (*wrong, [[1.0]])}
     for cls, signs in READY_MADE.items():
