@@ -292,33 +292,3 @@ def test_the_derivative_for_a_chain_is_that_of_differences():
         ]
         difference = (near[1] - near[0]) / 2e-4
         assert float(slope) == pytest.approx(difference, rel=1e-4), name
-
-
-@pytest.mark.long
-def test_of_twenty_masses_no_try_is_lighter_and_it_stands_in_the_middle():
-    chain = paper_chain(20, width=None)
-    found = gentlest_blow(chain, tries=5000)
-    assert found.successful
-    assert (int(found.tried), int(found.lighter)) == (5000, 0)
-    assert int(found.mass) == 10
-    assert float(found.share) > 0.9999
-    np.testing.assert_allclose(found.kick[9:12], [0.00382, 1.25023, 0.00382], atol=2e-5)
-    assert found.vibrating.tolist() == [n == 10 for n in range(20)]
-    # Some masses only, against the belt: what is left of the rest.
-    other = gentlest_blow(chain, masses=(3,))
-    assert float(other.size) == pytest.approx(1.250272, abs=1e-6)
-    assert float(other.size) > float(found.size)
-
-
-@pytest.mark.long
-def test_of_different_masses_it_falls_on_the_weakest():
-    damping = jnp.array([0.05, 0.045, 0.05])
-    chain = FREE.with_(damping_ratio=damping)
-    found = gentlest_blow(chain, tries=500)
-    assert found.successful
-    single = [float(gentlest_blow(chain, masses=(n,)).size) for n in range(3)]
-    assert int(found.mass) == int(np.argmin(single)) == 1
-    assert float(found.size) < min(single)
-    pair = gentlest_blow(chain, masses=(0, 2))
-    assert float(pair.kick[1]) == 0.0
-    assert float(pair.size) <= min(single[0], single[2]) * (1.0 + 1e-9)

@@ -379,15 +379,6 @@ def test_what_a_share_needs_is_said(shares):
 
 
 @pytest.mark.long
-def test_states_are_judged_on_demand():
-    over = {"belt_speed": [1.4, 1.9]}
-    found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
-    sliding, vibrating = (found.verdict.sel(state=s).values for s in ("sliding", "vibrating"))
-    assert sliding.tolist() == ["steady sliding", "steady sliding"]
-    assert vibrating.tolist() == ["periodic", ""]
-
-
-@pytest.mark.long
 def test_rotated_patterns_are_equally_likely():
     chain = paper_chain(3, belt_speed=1.5, width=None)
     region = Box(displacement=(-2, 2), velocity=(0, 2))

@@ -211,14 +211,6 @@ def test_a_track_agrees_with_amplitudes_of_its_windows(measured):
 
 
 @pytest.mark.long
-def test_smoothed_friction_takes_the_fronts_the_same_way(measured):
-    chain = paper_chain(n=N, belt_speed=1.05)
-    found = front_speed(chain, crooked_block(chain), TIME, transient=40.0, windows=WINDOWS)
-    assert found.outcome == "grows"
-    np.testing.assert_allclose(found.speed, measured.speed[0], rtol=0.05)
-
-
-@pytest.mark.long
 def test_fronts_come_unstuck_between_two_belt_speeds(measured):
     """With the couple of speeds that the fixture tried, and their like."""
 

@@ -1,10 +1,8 @@
 """The picture of a profile shows chi^2 over the number, and its interval."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 
 from jaxchain import hopf_belt_speed
 from jaxchain.inverse import Measurements, identify, profile
@@ -35,18 +33,3 @@ def test_a_profile_is_drawn_as_its_closed_form():
     assert abs(np.interp(low, values, rise) - 1.959964**2) < 0.05
     np.testing.assert_allclose((low, high), (of_v.low, of_v.high))
     assert axes.get_xlabel() == "$v_0$ (–)"
-
-
-@pytest.mark.long
-def test_values_without_a_fit_are_left_out():
-    chain, lab = paper_chain(1, width=None), Measurements(hopf=(1.2, 0.05))
-
-    def law(chain, v):
-        return chain.with_(v_ref=v)
-
-    of_v = profile(identify(chain, law, jnp.array(0.6), lab), chain, law, lab, 0, points=5)
-    chi = of_v.chi_squared.at[0].set(jnp.nan)
-    lame = eqx.tree_at(lambda p: (p.chi_squared, p.low), of_v, (chi, jnp.asarray(-jnp.inf)))
-    axes = plot_profile(lame, "$v_0$ (–)")
-    assert np.size(axes.get_lines()[0].get_xdata()) == 4
-    assert shaded(axes)[0] == of_v.values[0]  # the interval does not end on this side

@@ -171,13 +171,6 @@ def test_a_few_belt_speeds_have_no_branch(tmp_path):
     assert cycles(build(loaded)["ladder"].model, grid) is None
 
 
-@pytest.mark.long
-def test_dry_friction_has_no_branch(tmp_path):
-    loaded = one_oscillator(tmp_path, 10, "dry")
-    data = run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
-    assert list(data) == ["ladder"]
-
-
 def test_the_hopf_speed_follows_the_swept_numbers():
     chain, damping = paper_chain(4), np.array([0.05, 0.1])
     grid = {"belt_speed": np.array([1.0, 1.5]), "damping_ratio": damping, "excited": np.arange(2)}
