@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from synthetic import results, stored
+from synthetic import recorded_sweep, stored
 
 import jaxchain
 from jaxchain import SearchResult
@@ -66,14 +66,7 @@ def workplace(tmp_path, monkeypatch):
 def made_up_sweep(monkeypatch):
     """Replaces the computation; returns a list of the arguments of every call."""
     calls = []
-
-    def sweep(chain, initial, t1, *, over, **options):
-        calls.append({"chain": chain, "initial": initial, "t1": t1, "over": over, **options})
-        axes = {name: np.asarray(values) for name, values in over.items()}
-        shape = tuple(map(len, axes.values()))
-        return results(axes, np.ones(shape, int), chain.n)
-
-    monkeypatch.setattr(running, "sweep", sweep)
+    monkeypatch.setattr(running, "sweep", recorded_sweep(calls))
     return calls
 
 

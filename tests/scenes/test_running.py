@@ -139,9 +139,9 @@ def ordered(cycles, which):
     return speed[order], amplitude[order]
 
 
-@pytest.mark.parametrize("first", [1, 40, 60])
+@pytest.mark.parametrize("first", [1, 60])
 def test_an_interrupted_branch_is_not_taken_for_a_whole_one(monkeypatch, first):
-    """In the slip cycles at once, in them, and in the stick-slip cycles."""
+    """In the slip cycles at once, and in the stick-slip cycles."""
     seen = []
 
     def interrupt(count, point):
