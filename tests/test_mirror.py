@@ -1,6 +1,6 @@
 """A belt that runs the other way: x -> -x, v -> -v, v_d -> -v_d changes nothing.
 
-Every public function that takes a chain is asked about random chains and their mirror images.
+And what does not touch the layer of smoothing is the same for dry friction and a narrow width.
 """
 
 import equinox as eqx
@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import jaxchain as jc
-from jaxchain.cycles.floquet import liouville_determinant
 from jaxchain.model.initial_states import release_state
 from jaxchain.model.sliding import sliding_damping, sliding_eigenvalues, stiffness_matrix
 
@@ -67,23 +66,6 @@ def run(solver):
     return case
 
 
-def spectrum(solver):
-    def case(chain, sign):
-        found = jc.lyapunov_spectrum(
-            chain, excited(chain, sign), 60.0, count=3, blocks=4, solver=solver, throw=False
-        )
-        # Volumes of dry friction have no rate.
-        return found.exponents, *([] if solver is DRY else [found.mean_divergence])
-
-    return case
-
-
-def linear(chain, sign):
-    state = excited(chain, sign)
-    determinant = liouville_determinant(chain, state, 6.0)
-    return jc.monodromy_matrix(chain, state, 6.0), determinant
-
-
 QUICK = {
     "complex_modes": lambda chain, sign: (
         jc.boundaries.complex_modes(chain, guess=jc.steady_sliding(chain)).eigenvalues[:, :3]
@@ -106,18 +88,19 @@ QUICK = {
     "mistuned_chain": lambda chain, sign: jc.localization.mistuned_chain(chain, 3, 0.1).stiffness,
     "linear_modes": lambda chain, sign: arrays(jc.localization.linear_modes(chain)),
 }  # fmt: skip
-LONG = {
-    "simulate": run(None),
-    "simulate dry": run(DRY),
-    "lyapunov_spectrum": spectrum(None),
-    "lyapunov_spectrum dry": spectrum(DRY),
-    "monodromy_matrix": linear,
-}
 
 
-def compare(case, chains, tolerance):
+def every(chain, sign):
+    return {name: case(chain, sign) for name, case in QUICK.items()}
+
+
+def with_width(chains, width):
+    return jax.vmap(lambda chain: chain.with_(width=width))(chains)
+
+
+def compare(case, chains, others, sign, tolerance):
     each = eqx.filter_jit(lambda chains, sign: jax.vmap(lambda c: case(c, sign))(chains))
-    ahead, back = each(chains, jnp.asarray(1.0)), each(mirrored(chains), jnp.asarray(-1.0))
+    ahead, back = each(chains, jnp.asarray(1.0)), each(others, jnp.asarray(sign))
     leaves, others = (jax.tree_util.tree_leaves_with_path(side) for side in (ahead, back))
     assert leaves
     for (path, a), (_, b) in zip(leaves, others, strict=True):
@@ -126,13 +109,17 @@ def compare(case, chains, tolerance):
 
 
 def test_the_mirror_image_does_the_same():
-    def every(chain, sign):
-        return {name: case(chain, sign) for name, case in QUICK.items()}
-
-    compare(every, random_chains(), 1e-9)
+    chains = random_chains()
+    compare(every, chains, mirrored(chains), -1.0, 1e-9)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", LONG)
-def test_the_mirror_image_is_as_stable(name):
-    compare(LONG[name], random_chains(), 1e-9)
+@pytest.mark.parametrize("solver", [None, DRY])
+def test_the_mirror_image_runs_alike(solver):
+    chains = random_chains()
+    compare(run(solver), chains, mirrored(chains), -1.0, 1e-9)
+
+
+def test_dry_friction_is_the_limit_of_a_narrow_width():
+    chains = random_chains()
+    compare(every, with_width(chains, None), with_width(chains, 1e-4), 1.0, 1e-9)

@@ -39,14 +39,7 @@ def test_the_cycles_of_two_oscillators_are_found_once_each_and_then_no_more():
         [cycle.period for cycle in search.cycles], [period(1.0), period(1.0 + 2 * ETA)], rtol=1e-8
     )
     assert "no new cycle" in search.gave_up
-    # Known cycles are not found again.
-    again = find_limit_cycles(
-        PAIR, (starts, jnp.full(4, 6.4)), known=search.cycles, mass=0, lanes=4, rounds=1
-    )
-    assert again.cycles == []
-    assert sum(again.failures.values()) == 4
-    assert np.all(again.outcomes == -1)
-    # Indices count the cycles that are new.
+    # Known cycles are not found again; indices count the cycles that are new.
     known = search.cycles[1:]
     rest = find_limit_cycles(
         PAIR, (starts, jnp.full(4, 6.4)), known=known, mass=0, lanes=4, rounds=1

@@ -138,9 +138,14 @@ def test_static_and_kinetic_friction_vibrate_up_to_where_a_release_just_returns_
     slip = brentq(lambda t: after(t, 0.3)[1] - 0.3, 3.0, 5.5, xtol=1e-14)
     stuck = (mu_s - mu_k - 2 * xi * 0.3 - after(slip, 0.3)[0]) / 0.3
     assert float(branch.period[0]) == pytest.approx(slip + stuck, abs=1e-9)
+    assert np.isnan(hopf_belt_speed(chain))  # sliding is stable at every speed
+
+
+@pytest.mark.long
+def test_friction_that_falls_at_rest_has_no_grazing_fold_and_no_exact_basin():
+    chain = Chain(1, StaticKinetic(1.1, 0.5), 0.3, 0.05)
     assert find_fold(chain).result == SearchResult.drops
     assert sliding_basin(chain).result == SearchResult.drops
-    assert np.isnan(hopf_belt_speed(chain))  # sliding is stable at every speed
 
 
 @pytest.mark.long
