@@ -55,12 +55,12 @@ def test_a_ring_agrees_with_scipy():
 
 
 def test_order_with_forces_that_depend_on_time_and_displacement():
-    field = DrivenInPlace(
+    field: Any = DrivenInPlace(
         rate=jnp.asarray(0.5), cubic=jnp.asarray(0.7), mixed=jnp.asarray(0.4),
         phase=jnp.linspace(0.0, 1.0, 5), springs=Springs(jnp.asarray(0.02), "cyclic"),
     )  # fmt: skip
     between = jnp.linspace(0.1, 2.9, 37)
-    terms: Any = dfx.ODETerm(field)  # pyright: ignore[reportArgumentType]
+    terms: Any = dfx.ODETerm(field)
 
     @jax.jit
     def errors(h):

@@ -374,8 +374,6 @@ def test_what_a_share_needs_is_said(shares):
         share_differences(shares, "state")
     with pytest.raises(ValueError, match="swept dimension of at least two values"):
         share_differences(shares.isel(belt_speed=[0]), "belt_speed")
-    with pytest.raises(ValueError, match="dataset of `basin_shares`"):
-        share_differences(None, "belt_speed")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.long

@@ -143,7 +143,7 @@ def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_po
     assert (meeting.first, meeting.second) == pytest.approx(MEETING, abs=1e-10)
     assert curve.second[meeting.index] < meeting.second < curve.second[meeting.index + 1]
     # There mu tanh has no third derivative, and the Lyapunov coefficient changes its sign.
-    force = lambda v: -chain.friction.force(-v)  # noqa: E731
+    force = lambda v: chain.friction.force(-v)  # noqa: E731
     slope, third = jax.jacfwd(force), jax.jacfwd(jax.jacfwd(jax.jacfwd(force)))
     assert (float(slope(MEETING[0])), float(third(MEETING[0]))) == pytest.approx(
         (-2.0 * MEETING[1], 0.0), abs=1e-7

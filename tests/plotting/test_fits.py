@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+from drawn import height
 
 from jaxchain.inverse import Profile
 from jaxchain.plotting.fits import plot_profile
@@ -20,8 +21,8 @@ def test_a_profile_is_drawn_with_its_limit_and_its_interval():
     axes = plot_profile(of_v, "$v_0$ (–)")
     curve, limit = axes.get_lines()
     np.testing.assert_array_equal(curve.get_xdata(), values)
-    np.testing.assert_allclose(curve.get_ydata(), chi, atol=1e-9)
-    np.testing.assert_allclose(limit.get_ydata(), 1.959964**2, rtol=1e-6)
+    np.testing.assert_allclose(height(curve), chi, atol=1e-9)
+    np.testing.assert_allclose(height(limit), 1.959964**2, rtol=1e-6)
     np.testing.assert_allclose(shaded(axes), (low, high))
     assert axes.get_xlabel() == "$v_0$ (–)"
     # A value without a fit is left out, and an interval that does not end goes to the edge.

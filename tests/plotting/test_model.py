@@ -149,7 +149,7 @@ def test_the_belt_points_where_it_goes():
         left, right = draw_model(paper_chain(2, belt_speed=speed)).axes
         arrows = [patch for patch in left.patches if isinstance(patch, FancyArrowPatch)]
         (belt,) = [arrow for arrow in arrows if to_hex(arrow.get_edgecolor()) == BLUE.lower()]
-        start, end = belt._posA_posB  # pyright: ignore[reportAttributeAccessIssue]
+        start, end = vars(belt)["_posA_posB"]
         assert np.sign(end[0] - start[0]) == np.sign(speed)
         at, force = curve(right, "steady sliding")
         assert at[0] == -speed
