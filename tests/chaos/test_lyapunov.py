@@ -15,13 +15,11 @@ from jaxchain import (
     equation_8,
     find_limit_cycle,
     paper_chain,
-    simulate,
     steady_sliding,
 )
 from jaxchain.chaos.lyapunov import batch_error, kaplan_yorke_dimension, lyapunov_spectrum
 from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model import MechanicalCells
-from jaxchain.observers.stick_time import MostSticking
 from jaxchain.result import NAMES, code
 
 
@@ -200,30 +198,6 @@ def test_directions_that_shrink_fast_are_followed_in_shorter_intervals(width):
 
 
 @pytest.mark.long
-def test_the_sum_is_the_mean_divergence_and_lanes_do_not_mind_each_other():
-    """A smoothed chain of moderate width; three lanes; one cannot even start."""
-    chain = paper_chain(2, 1.5, width=0.1)
-    x, v = equation_8(chain, 1)
-    starts = jnp.stack([x, x * jnp.nan, x + 0.1])
-
-    @jax.jit
-    @jax.vmap
-    def spectra(x):
-        return lyapunov_spectrum(chain, (x, v), 100.0, transient=20.0, blocks=5, rtol=1e-9)
-
-    found = spectra(starts)
-    np.testing.assert_allclose(found.sum[::2], found.mean_divergence[::2], atol=1e-6)
-    assert np.all(np.isnan(found.exponents[1]))
-    assert np.isnan(found.sum[1])
-    assert np.isnan(found.mean_divergence[1])
-    assert np.isnan(found.kaplan_yorke[1])
-    assert [NAMES[k] for k in code(found.result)] == ["successful", "nonfinite", "successful"]
-    alone = lyapunov_spectrum(chain, (x, v), 100.0, transient=20.0, blocks=5, rtol=1e-9)
-    np.testing.assert_allclose(found.exponents[0], alone.exponents, atol=1e-9)
-    np.testing.assert_allclose(found.state[0][0], alone.state[0], atol=1e-9)
-
-
-@pytest.mark.long
 def test_lorenz():
     """The intervals hold the truth, the values are right to 1 % of the greatest."""
     found = lyapunov_spectrum(
@@ -237,28 +211,6 @@ def test_lorenz():
     assert found.chaotic() is True
     assert float(found.sum) == pytest.approx(LORENZ_DIVERGENCE, abs=1e-4)
     assert float(found.kaplan_yorke) == pytest.approx(2.062, abs=2e-3)
-
-
-@pytest.mark.exhaustive
-def test_smoothed_exponents_go_over_into_dry_ones():
-    """Two masses that never stick together: only one direction is lost, the third is finite."""
-    chain = paper_chain(2, 1.0).with_(coupling=0.05)
-    start = (jnp.array([-0.5, 1.2]), jnp.array([0.3, -0.4]))
-    truth = lyapunov_spectrum(chain, start, 1500.0, transient=500.0, solver=EventDriven())
-    watch = simulate(
-        chain, truth.state, 50.0, solver=EventDriven(), observe=MostSticking()
-    ).observed
-    assert int(watch) == 1
-    assert int(np.isneginf(truth.exponents).sum()) == 1
-    gaps = []
-    for width in (1e-2, 3e-3):
-        found = lyapunov_spectrum(
-            chain.with_(width=width), start, 1500.0, transient=500.0, count=3, interval=1.0
-        )
-        gaps.append(np.abs(found.smooth - truth.smooth[:3]))
-    assert np.all(gaps[0] < [1e-5, 0.01, 0.05])
-    assert np.all(gaps[1][1:] < 0.5 * gaps[0][1:])
-    assert gaps[1][0] < 1e-5
 
 
 @pytest.mark.long
