@@ -98,6 +98,7 @@ def test_bars_of_sequences_hold_the_share_as_often_as_they_say():
         lengths.append((bars.high - bars.low)[0, k] / 2)
     assert 0.92 <= covered / 400 <= 0.99
     assert np.median(lengths) < 0.5 * 1.96 * (share * (1 - share) / 512) ** 0.5
+    assert bars.high[0, k] - bars.share[0, k] == pytest.approx(bars.share[0, k] - bars.low[0, k])
 
 
 def test_a_state_that_no_start_found_has_a_bar_all_the_same():
