@@ -75,6 +75,20 @@ def results(axes, vibrating, n, **parameters):
     )
 
 
+def recorded_sweep(calls, fails=False):
+    """Stands for `sweep`: notes its arguments; the last run of three masses may fail."""
+
+    def sweep(chain, initial, t1, *, over, **options):
+        calls.append({"chain": chain, "initial": initial, "t1": t1, "over": over, **options})
+        axes = {name: np.asarray(values) for name, values in over.items()}
+        vibrating = np.ones(tuple(map(len, axes.values())), int)
+        if fails and chain.n == 3:
+            vibrating[-1, -1] = -1
+        return results(axes, vibrating, chain.n)
+
+    return sweep
+
+
 def ladder():
     """Six masses at belt speeds 1.0 ... 1.9: fronts move at 1.0 ... 1.2 and at 1.7; none later."""
     speeds, excited = np.round(np.arange(1.0, 1.95, 0.1), 1), np.arange(7)

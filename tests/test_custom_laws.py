@@ -17,11 +17,11 @@ from jaxchain.cycles.averaging import dry_summits, one_mass
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.initial_states import equation_8
+from jaxchain.model.provenance import parameters_of
 from jaxchain.observers.amplitude import Amplitude
 from jaxchain.plotting.model import plot_friction_law
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
-from jaxchain.sweeps.sweeping import sweep
 
 
 class Own(AbstractFrictionLaw):
@@ -111,8 +111,7 @@ def test_boundaries_of_a_neural_network_are_those_of_the_law_that_it_is():
         agree(hopf_points(own, (0.5, 3.0)).belt_speed, hopf_points(paper, (0.5, 3.0)).belt_speed)
 
 
-def test_runs_say_the_weights_of_a_network():
+def test_provenance_names_the_weights_of_a_network():
     chain = paper_chain(1, 1.5, 1e-2).with_(friction=TanhFriction(network(), 1e-2))
-    runs = sweep(chain, equation_8, 5.0, over={"excited": [0, 1]}, observe=())
-    weights, biases, *_ = json.loads(runs.attrs["parameters"])["net"]
+    weights, biases, *_ = json.loads(parameters_of(chain, 1, ()))["net"]
     assert (weights, biases) == ([[-2.0], [-2.0]], BIASES)

@@ -8,7 +8,7 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from layouts import PAGE, Row, differences, row_of, rows, tables
+from layouts import PAGE, differences, row_of, rows, tables
 from synthetic import cycle_branch, special_curve
 
 from jaxchain.basins import Box, basin_shares, share_differences
@@ -156,13 +156,3 @@ def test_the_cycles_of_a_scene():
     found = cycles(paper_chain(1, width=0.1), grid)
     said = TABLES["Folders of results", "Cycles of one oscillator"]
     assert not differences(said, rows(found))
-
-
-def test_a_table_that_is_not_true_is_found_out():
-    said = dict(TABLES["Sweeps", "With `StickTime`"])
-    found = [Row("stick_time", "…, oscillator", "1", "how long"), Row("other", "", "", "")]
-    told = differences(said, found)
-    assert [line.partition(":")[0] for line in told] == ["the page lacks"] * 2
-    assert differences(said, []) == ["the dataset lacks: stick_time"]
-    optional = {"verdict": TABLES["Basin shares", ""]["verdict"]}
-    assert not differences(optional, [])

@@ -1,7 +1,7 @@
 """Every example in a docstring or in the README runs and prints the stated output.
 
-Every public name has one.  Some of the top level's run with the quick tests; `pytest -m examples`
-runs all.  What stands in a fence takes too long to wait for, or says nothing to compare.
+Every public name has one; `pytest -m examples` runs them.  What stands in a fence takes too long
+to wait for, or says nothing to compare.
 """
 
 import ast
@@ -71,11 +71,6 @@ FENCES = {
     for k, code in enumerate(fenced(text))
 }
 README_FENCES = list(fenced(README.read_text(encoding="utf-8")))
-# What one meets first, and what takes no time.
-QUICK = (
-    "Chain", "Coulomb", "ExponentialDecay", "Scales", "TanhFriction", "WeakeningStrengthening",
-    "configure", "floquet_multipliers", "hopf_belt_speed", "paper_chain", "simulate",
-)  # fmt: skip
 
 
 def test_every_public_name_has_an_example_or_refers_to_one():
@@ -91,12 +86,6 @@ def test_every_public_name_has_an_example_or_refers_to_one():
     assert sorted(PUBLIC - shown - named) == []
 
 
-def test_an_example_that_is_skipped_is_none():
-    assert prompts(">>> 1 + 1\n2", "shown")
-    assert prompts(">>> 1 + 1  # doctest: +SKIP\n3", "skipped") is None
-    assert prompts("1 + 1 is 2", "told") is None
-
-
 def run(name):
     module, test = PROMPTS[name]
     if name not in PUBLIC:
@@ -110,11 +99,6 @@ def run(name):
         assert doctest.DocTestRunner().run(test, clear_globs=False).failed == 0
     finally:
         jax.config.update("jax_enable_x64", True)
-
-
-@pytest.mark.parametrize("name", [name for name in PROMPTS if name.rpartition(".")[2] in QUICK])
-def test_an_example_of_the_top_level_prints_the_stated_output(name):
-    run(name)
 
 
 @pytest.mark.examples

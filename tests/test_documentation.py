@@ -156,19 +156,3 @@ def test_the_questions_name_every_kind_of_special_point():
     kinds = set(re.findall(r'"([a-z ]+)"', documented))
     assert len(kinds) > 3
     assert set(re.findall(r'`"([a-z ]+)"`', about)) == kinds
-
-
-def test_code_headings_and_links_of_a_text_are_distinguished():
-    text = (
-        "# One `name` (of *two*)\n\n[a](b.md#c-d) [web](https://x.org) ![](d.png) `[e](f)`\n"
-        "- code:\n\n  ```python\n  # no heading\n  x = 1\n  ```\n\n```sh\n[g](h)\n```\n## Last\n"
-    )
-    assert fenced(text) == ["# no heading\nx = 1\n"]
-    assert headings(text) == [(1, "One `name` (of *two*)"), (2, "Last")]
-    assert anchors(text) == {"one-name-of-two", "last"}
-    assert list(links(text)) == [("b.md", "c-d"), ("d.png", "")]
-
-
-def test_commands_are_found_in_a_shell():
-    text = "```sh\njaxchain run a.toml \\\n    --set b=1  # why\njaxchain resume c &\nls\n```\n"
-    assert list(commands(text)) == [["run", "a.toml", "--set", "b=1"], ["resume", "c"]]

@@ -36,6 +36,7 @@ sweep = {{ belt_speed = {{ start = 1.0, stop = 2.0, count = 64 }} }}
 time = {{ transient = 1.0, window = 7.0 }}
 numerics = {{ store = true, lanes = 4 }}
 """
+LONG = pytest.mark.long
 FOR_EVER = ["--set", "experiment.second.time.transient=1e8"]
 JAXCHAIN = [sys.executable, "-m", "jaxchain"]
 RUN = ["run", "tiny.toml", "--no-plot", "--quiet", "--output", "out"]
@@ -85,7 +86,7 @@ def same(one, other):
 
 
 @pytest.mark.parametrize(
-    "arguments", [["scenes"], ["--help"], pytest.param(["boundary"], marks=pytest.mark.long)]
+    "arguments", [["scenes"], *(pytest.param([a], marks=LONG) for a in ("--help", "boundary"))]
 )
 def test_output_whose_reader_goes_ends_without_a_traceback(arguments):
     reader, writer = os.pipe()

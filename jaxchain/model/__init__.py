@@ -3,6 +3,7 @@
 - `arguments`: checks of a chain, a state, a mass and a symmetry
 - `cells`: equal-shaped cells with m variables each
 - `chain`: the equations, the paper's chain, steady sliding
+- `contacts`: contacts with friction in any direction, and rigid stops
 - `drives`: what drives a model from outside: tables of measured values over time
 - `entries`: entries of parameters that are arrays, by name
 - `friction`: laws mu(s), one class each, and their smoothing by a width

@@ -16,7 +16,6 @@ from jaxchain import (
     PeakTimes,
     equation_8,
     excited_state,
-    find_limit_cycle,
     paper_chain,
     simulate,
     steady_sliding,
@@ -248,19 +247,6 @@ def test_the_edge_of_one_mass_is_the_unstable_cycle():
     assert float(abs(cycle.amplitude - edge.amplitude)[0]) < 1e-7
 
 
-@pytest.mark.long
-def test_one_vibrating_mass_in_twenty():
-    speeds = jnp.array([1.5, 1.7])
-    found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.2, 2.5, n=20)))(speeds)
-    for k, speed in enumerate((1.5, 1.7)):
-        edge = lane(found, k)
-        exact = find_limit_cycle(paper_chain(20, speed, width=None), branch="unstable")
-        assert name_of(edge.result) == "successful"
-        assert int(edge.mass) == 10
-        np.testing.assert_allclose(edge.amplitude, exact.amplitude, rtol=0, atol=1e-6)
-        assert float(edge.period) == pytest.approx(float(exact.period), abs=1e-6)
-
-
 def next_one_pulled(speed, count, time):
     """The edge between `count` vibrating masses of twenty, and one more."""
     chain = paper_chain(20, belt_speed=speed, width=None)
@@ -326,15 +312,6 @@ def test_the_edge_between_two_wells_is_the_stable_manifold_of_their_saddle():
     assert name_of(both.result) == "same_state"
     late = edge_state(wells, LEFT, RIGHT, time=7.0, **{**BETWEEN, "patience": 1.0})
     assert name_of(late.result) == "undecided"
-
-
-@pytest.mark.long
-def test_the_edge_between_two_wells_ends_in_their_saddle():
-    edge = edge_state(double_well(0.5), RIGHT, LEFT, time=100.0, tolerance=1e-6, **BETWEEN)
-    assert name_of(edge.result) == "successful"
-    assert edge.vibrates.tolist() == [[1], [0]]
-    np.testing.assert_allclose(edge.state, 0.0, atol=1e-7)
-    assert not edge.periodic
 
 
 @pytest.mark.long

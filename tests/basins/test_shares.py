@@ -98,6 +98,7 @@ def test_bars_of_sequences_hold_the_share_as_often_as_they_say():
         lengths.append((bars.high - bars.low)[0, k] / 2)
     assert 0.92 <= covered / 400 <= 0.99
     assert np.median(lengths) < 0.5 * 1.96 * (share * (1 - share) / 512) ** 0.5
+    assert bars.high[0, k] - bars.share[0, k] == pytest.approx(bars.share[0, k] - bars.low[0, k])
 
 
 def test_a_state_that_no_start_found_has_a_bar_all_the_same():
@@ -374,17 +375,6 @@ def test_what_a_share_needs_is_said(shares):
         share_differences(shares, "state")
     with pytest.raises(ValueError, match="swept dimension of at least two values"):
         share_differences(shares.isel(belt_speed=[0]), "belt_speed")
-    with pytest.raises(ValueError, match="dataset of `basin_shares`"):
-        share_differences(None, "belt_speed")  # pyright: ignore[reportArgumentType]
-
-
-@pytest.mark.long
-def test_states_are_judged_on_demand():
-    over = {"belt_speed": [1.4, 1.9]}
-    found = basin_shares(ONE, Box(), over, half_width=0.1, checked=0, judge=True)
-    sliding, vibrating = (found.verdict.sel(state=s).values for s in ("sliding", "vibrating"))
-    assert sliding.tolist() == ["steady sliding", "steady sliding"]
-    assert vibrating.tolist() == ["periodic", ""]
 
 
 @pytest.mark.long

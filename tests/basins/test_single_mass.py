@@ -10,9 +10,9 @@ import pytest
 from scipy.integrate import quad
 
 import jaxchain as jc
-from jaxchain.basins import Box, blow_of_one_mass, sliding_basin, sliding_share
+from jaxchain.basins import Box, sliding_basin, sliding_share
 from jaxchain.basins.single_mass import Mass, area_of_step, innermost_unstable_cycle, return_map
-from jaxchain.model import AbstractFrictionLaw, Chain, Coulomb, GaussianStribeck
+from jaxchain.model import AbstractFrictionLaw, Chain, Coulomb
 from jaxchain.result import SearchResult, name_of
 
 from .planes import Plane
@@ -291,37 +291,6 @@ def test_it_goes_through_vmap_and_forward_mode():
     each = jax.jit(jax.vmap(jax.jacfwd(lambda speed: sliding_share(DRY.with_(belt_speed=speed)))))
     found = each(speeds)
     np.testing.assert_allclose(found, [0.0, 0.975818, 0.0], atol=1e-6)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("width", [None, 1e-3, 1e-2])
-@pytest.mark.parametrize("speed", [1.152, 1.4, -1.6, 1.79, 1.83])
-def test_its_cycle_is_that_of_find_limit_cycle(width, speed):
-    chain = jc.paper_chain(1, speed, width)
-    found = basin(chain, Box())
-    if float(found.share) == 1.0:
-        assert (width, speed) == (1e-2, 1.83)
-        return
-    guess = found.state, found.period
-    cycle = jc.find_limit_cycle(chain, guess, mass=0, rtol=1e-11)
-    assert float(jnp.abs(cycle.multipliers[0])) > 1.0
-    np.testing.assert_allclose(found.state, cycle.state, atol=1e-9)
-    assert float(found.period) == pytest.approx(float(cycle.period), abs=1e-10)
-    if speed < 1.7:
-        alone = jc.find_limit_cycle(chain, branch="unstable", rtol=1e-11)
-        np.testing.assert_allclose(found.state, alone.state, atol=1e-9)
-
-
-@pytest.mark.long
-def test_of_a_law_with_a_flat_top_it_is_right_as_well():
-    law = GaussianStribeck(1.0, 0.5, 0.3, 0.02)
-    chain = Chain(1, law, belt_speed=1.0, damping_ratio=0.01)
-    x, _ = jc.steady_sliding(chain)
-    for sign, kick in zip((1.0, -1.0), blow_of_one_mass(chain), strict=True):
-        for share_of, vibrates in ((0.999, False), (1.001, True)):
-            start = x, jnp.full(1, sign * share_of * float(kick))
-            run = jc.simulate(chain, start, 1500.0, observe=jc.Amplitude(window=20.0))
-            assert (float(run.observed[0]) > 0.5) == vibrates
 
 
 @pytest.mark.long

@@ -6,13 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from scipy.integrate import solve_ivp
-from scipy.optimize import root_scalar
 
 from jaxchain import Chain, TanhFriction, paper_chain, steady_sliding
 from jaxchain.boundaries import find_hopf_point
 from jaxchain.boundaries.equilibria import Rates, lyapunov_coefficient
-from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.model.friction import AbstractFrictionLaw
 
@@ -171,31 +168,3 @@ def test_travelling_and_standing_waves_of_a_ring_branch_off_as_they_should(n, m)
     assert float(points.standing_square_amplitude_slope[k]) == pytest.approx(slope, rel=1e-3)
     # For n = 4 the standing wave leaves every other mass at rest, and the two agree.
     assert np.isclose(slope, travelling, rtol=0.05) == (n == 4)
-
-
-@pytest.mark.long
-def test_the_small_cycle_of_the_paper_repels_and_is_where_scipy_finds_it():
-    chain = paper_chain(1)
-    hopf = float(hopf_belt_speed(chain))
-    points = hopf_points(chain, (0.5, 2.0))
-    speed = hopf + 0.01
-
-    def fed_back(a):
-        """By how much the next maximum of the displacement exceeds this one, a above rest."""
-
-        def slipping(t, y):
-            return [y[1], -0.1 * y[1] - y[0] + 0.5 + 0.5 * np.exp(-2 * (speed - y[1]))]
-
-        def turn(t, y):
-            return y[1]
-
-        turn.direction = -1  # pyright: ignore[reportFunctionMemberAccess]  # as SciPy wants it
-        rest = 0.5 + 0.5 * np.exp(-2 * speed)
-        run = solve_ivp(slipping, (0, 10), [rest + a, -1e-14], events=turn, rtol=1e-12, atol=1e-13)
-        return run.y_events[0][-1][0] - rest - a
-
-    amplitude = root_scalar(fed_back, bracket=(0.1, 0.5), xtol=1e-10).root
-    assert amplitude**2 / 0.01 == pytest.approx(float(points.square_amplitude_slope[0]), rel=0.05)
-    # A repelling cycle: subcritical.
-    assert fed_back(0.95 * amplitude) < 0 < fed_back(1.05 * amplitude)
-    assert points.criticality == ("subcritical",)

@@ -12,7 +12,6 @@ from jaxchain import (
     ExponentialDecay,
     SearchResult,
     continue_special,
-    hopf_belt_speed,
     paper_chain,
     simulate,
     steady_sliding,
@@ -21,7 +20,6 @@ from jaxchain.boundaries import (
     continue_equilibrium,
     find_equilibrium,
     find_hopf_point,
-    hopf_points,
 )
 from jaxchain.model import MechanicalCells
 from jaxchain.model.sliding import stiffness_matrix
@@ -179,21 +177,6 @@ def test_hopf_points_of_a_chain_are_those_of_the_closed_form():
     assert curve.second.max() == pytest.approx(0.5, abs=1e-9)  # the weakening is greatest there
 
 
-@pytest.mark.long
-def test_hopf_points_of_an_unequal_chain_are_those_of_the_scan():
-    point = find_hopf_point(UNEQUAL, "belt_speed")
-    known = hopf_points(UNEQUAL, (0.1, 3.0))
-    last = int(np.argmin(np.abs(known.belt_speed - point.value)))
-    for name, own in (
-        ("belt_speed", point.value), ("frequency", point.frequency),
-        ("growth_slope", point.growth_slope), ("lyapunov_coefficient", point.lyapunov_coefficient),
-    ):  # fmt: skip
-        np.testing.assert_allclose(own, getattr(known, name)[last], rtol=1e-10, err_msg=name)
-    homogeneous = paper_chain(3, belt_speed=1.3, width=None)
-    value = find_hopf_point(homogeneous, "belt_speed").value
-    assert float(value) == pytest.approx(float(hopf_belt_speed(homogeneous)), abs=1e-13)
-
-
 def test_hopf_points_of_cells_are_those_of_numpy():
     growth = lambda v, p=0.7: cell_eigenvalues(v, p).real.max()  # noqa: E731
     speed = brentq(growth, 0.5, 1.5, xtol=1e-15)
@@ -204,21 +187,6 @@ def test_hopf_points_of_cells_are_those_of_numpy():
     assert float(point.frequency) == pytest.approx(omega, abs=1e-11)
     slope = (growth(speed + 1e-5) - growth(speed - 1e-5)) / 2e-5
     assert float(point.growth_slope) == pytest.approx(slope, abs=1e-8)
-
-
-@pytest.mark.long
-def test_a_hopf_point_in_the_load_is_numpys_and_smoothing_changes_no_coefficient():
-    load = brentq(lambda p: cell_eigenvalues(1.2, p).real.max(), 0.5, 1.5, xtol=1e-15)
-    at = find_hopf_point(CELLS, "normal_load", REST).value
-    assert float(at) == pytest.approx(load, abs=1e-12)
-    # tanh(1.2 / width) is 1 to the last digit.
-    dry, smoothed = (
-        find_hopf_point(cells, "belt_speed", REST).lyapunov_coefficient
-        for cells in (CELLS, CELLS.with_(width=1e-2))
-    )
-    assert float(smoothed) == pytest.approx(float(dry), rel=1e-9)
-    by_load = continue_equilibrium(CELLS, REST, "normal_load", (0.5, 1.5))
-    assert (by_load.ended_first, by_load.ended) == ("left_bounds", "left_bounds")
 
 
 def test_a_branch_of_sliding_ends_where_the_belt_stops():

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import find_limit_cycle, hopf_belt_speed, paper_chain, steady_sliding
+from jaxchain import hopf_belt_speed, paper_chain, steady_sliding
 from jaxchain.boundaries import (
     continue_equilibrium,
     continue_special,
@@ -71,16 +71,6 @@ def test_a_hopf_point_is_that_of_the_closed_form_with_its_slopes():
 
     slopes = jax.jit(jax.jacfwd(numbers))(1.2)
     np.testing.assert_allclose(slopes, [2.4, 1.0], atol=1e-11)
-
-
-@pytest.mark.long
-def test_just_beyond_a_supercritical_hopf_point_there_is_a_small_cycle():
-    cells = brusselator()
-    point = find_hopf_point(cells, "b", (jnp.full(1, 1.2), jnp.full(1, 1.5)))
-    state, period = point.guess(0.1)
-    cycle = find_limit_cycle(cells.with_(b=2.45), state, period=period)
-    assert cycle.stable
-    assert 0.0 < float(cycle.amplitude[0]) < 0.5
 
 
 @pytest.mark.long

@@ -20,7 +20,6 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.boundaries import Grazing
-from jaxchain.boundaries.fold import first_guess, value_and_jacobian
 from jaxchain.model.initial_states import on_the_belt
 from jaxchain.result import SearchResult
 
@@ -244,23 +243,3 @@ def test_the_fold_is_the_summit_of_scipys_branch():
         below = functools.partial(speed, guess=guess)
         summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
         np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("numbers", [wild_sets(0, 300)[233], *wild_sets(7, 400)[[214, 372]]])
-def test_no_cycle_beside_a_fold_has_a_faster_belt(numbers):
-    """Sets whose V(s) is flat, with its maximum far from where the loose search ends."""
-    fold = jax.tree.map(lambda part: part[0], wild_folds(numbers[None])[0])
-    start = first_guess(wild_chain(numbers), 0)
-    shooting, index = start.shooting, start.shooting.z_index
-    slopes = jax.jit(functools.partial(value_and_jacobian, shooting, start.short))
-    closed = shooting.pack(fold.state, fold.period, fold.belt_speed).at[index].set(fold.belt_speed)
-    for way in (-1.0, 1.0):
-        q, r = closed, jnp.full(2, jnp.inf)
-        for k in range(1, 9):
-            s = fold.scaled_peak_velocity + way * 0.05 * k
-            for _ in range(4):
-                r, jacobian = slopes(jnp.append(q, jnp.arcsinh(s)))
-                q = q - jnp.linalg.solve(jacobian[:, :-1], r)
-            assert jnp.max(jnp.abs(r)) < 1e-9
-            assert q[index] < fold.belt_speed * (1.0 + 3e-9)

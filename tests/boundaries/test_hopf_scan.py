@@ -1,18 +1,14 @@
 """Every Hopf point is listed, and described rightly."""
 
-from typing import Any
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.optimize import root_scalar
 
-from jaxchain import Chain, Coulomb, ExponentialDecay, TanhFriction, paper_chain
+from jaxchain import Coulomb, TanhFriction, paper_chain
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
-from jaxchain.model.friction import AbstractFrictionLaw
 from jaxchain.model.sliding import sliding_damping, stiffness_matrix
 
 EXACT = np.log(10.0) / 2
@@ -103,20 +99,6 @@ def test_coulomb_friction_has_none():
     assert points.mode_shape.shape == (0, 3)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "chain",
-    [
-        mistuned(6),
-        mistuned(4, coupling=2.0, normal_load=jnp.array([1.0, 0.0, 1.5, 0.7])),
-        mistuned(20),
-        mistuned(4, width=jnp.array([0.1, 0.2, 0.01, 0.05])),
-    ],
-)
-def test_every_change_in_the_number_of_growing_modes_is_listed(chain):
-    check_counts(chain, hopf_points(chain, (0.0, 5.0)))
-
-
 def test_frequency_shape_and_slope_of_a_mistuned_chain_solve_its_equations():
     chain = mistuned(3)
     points = hopf_points(chain, (0.0, 5.0))
@@ -142,17 +124,6 @@ def test_frequency_shape_and_slope_of_a_mistuned_chain_solve_its_equations():
 
         slope = (growth(v * (1 + 1e-6)) - growth(v * (1 - 1e-6))) / (2e-6 * v)
         assert float(points.growth_slope[k]) == pytest.approx(slope, rel=1e-5)
-
-
-@pytest.mark.long
-def test_masses_without_neighbours_are_each_their_own_oscillator():
-    xi = np.array([0.05, 0.02, 0.05])
-    numbers = {"coupling": jnp.zeros(3), "stiffness": jnp.array([1.0, 2.0, 3.0])}
-    points = hopf_points(paper_chain(3).with_(damping_ratio=xi, **numbers), (0.1, 5.0))
-    np.testing.assert_allclose(points.belt_speed, 0.5 * np.log(0.5 / xi[[0, 2, 1]]), rtol=1e-13)
-    np.testing.assert_allclose(points.frequency, np.sqrt([1.0, 3.0, 2.0]), rtol=1e-14)
-    np.testing.assert_allclose(np.abs(points.mode_shape), np.eye(3)[[0, 2, 1]], atol=0)
-    assert set(points.criticality) == {"subcritical"}
 
 
 @pytest.mark.long
@@ -189,24 +160,3 @@ def test_a_mode_that_nothing_damps_is_named():
 def test_it_says_that_it_is_not_for_tracing():
     with pytest.raises(ValueError, match="is traced"):
         jax.jit(lambda xi: hopf_points(paper_chain(1).with_(damping_ratio=xi)).belt_speed)(0.05)
-
-
-class RisingFirst(AbstractFrictionLaw):
-    """mu(s) = 0.5 + (0.3 + 2 s) exp(-s / 0.3): greatest at s = 0.15, not at rest."""
-
-    mu_static: Any = eqx.field(default=0.8, converter=jnp.asarray)
-
-    def coefficient(self, speed: Any) -> Any:
-        return 0.5 + (0.3 + 2.0 * speed) * jnp.exp(-speed / 0.3)
-
-
-@pytest.mark.long
-def test_sliding_is_stable_again_below_a_second_hopf_speed_where_friction_rises():
-    for law, width in ((RisingFirst(), 1e-3), (ExponentialDecay(1.0, 0.5, 0.5), 0.1)):
-        chain = Chain(1, TanhFriction(law, width), belt_speed=1.0)
-        points = hopf_points(chain, (0.05, 5.0))
-        low, high = (float(speed) for speed in points.belt_speed)
-        assert points.direction == ("growing speed", "falling speed")
-        np.testing.assert_allclose(hopf_belt_speed(chain), high, rtol=1e-9)
-        unstable = growing(chain, jnp.array([0.99 * low, 1.01 * low, 0.99 * high, 1.01 * high]))
-        np.testing.assert_array_equal(unstable, [0, 1, 1, 0])

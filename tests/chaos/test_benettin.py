@@ -9,17 +9,14 @@ import pytest
 from scipy.integrate import quad
 from systems.oscillators import LinearRing
 
-from jaxchain import EventDriven, Rodas5P, excited_state, monodromy_matrix, paper_chain, simulate
+from jaxchain import EventDriven, Rodas5P, excited_state, paper_chain, simulate
 from jaxchain.chaos.lyapunov import (
     Frame,
-    Interval,
     advance_frame,
-    advance_span,
     bump,
     orthonormalise,
     random_basis,
 )
-from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model.springs import Springs
 from jaxchain.observers.energy_balance import Divergence
 from jaxchain.observers.stick_time import MostSticking
@@ -39,17 +36,6 @@ def images_after(solver, observer, field, state, ends, rtol, basis):
         frame, images = advance_frame(plan, field, frame, end, None)
         frame = Frame(frame.progress, images)
     return frame.progress, frame.basis
-
-
-def spans(start, end, number):
-    step = (end - start) / number
-    return Interval(
-        start=jnp.asarray(start, float),
-        interval=jnp.asarray(step, float),
-        number=jnp.asarray(number),
-        phase=jnp.asarray(0.5 / number),
-        phase_step=jnp.asarray(1.0 / number),
-    )
 
 
 @pytest.mark.long
@@ -98,29 +84,6 @@ def test_smoothed_tangents_are_the_flow_of_a_linear_ring(solver):
     np.testing.assert_allclose(jnp.concatenate(progress.state), jnp.concatenate(ring.exact(3.1)),
                                atol=1e-8)  # fmt: skip
     assert float(progress.accumulators[0]) == pytest.approx(3.1 * float(jnp.trace(J)), rel=1e-12)
-
-
-@pytest.mark.long
-def test_a_span_multiplies_up_to_the_monodromy_matrix():
-    """|det M| from the logs, the first column's growth, and the integral of tr J."""
-    chain = paper_chain(2, 1.4, width=0.1)
-    state = excited_state(chain, 1, velocity=0.3)
-    basis = random_basis(0, 4, 4)
-    M = monodromy_matrix(chain, state, 6.3)
-
-    @eqx.filter_jit
-    def run():
-        plan, frame = start(Rodas5P(), Divergence(), chain, state, 6.3, 1e-10, basis)
-        return advance_span(plan, chain, frame, spans(0.0, 6.3, 9), None)
-
-    frame, growth = run()
-    np.testing.assert_allclose(jnp.sum(growth.logs), jnp.linalg.slogdet(M)[1], rtol=1e-6)
-    np.testing.assert_allclose(
-        growth.logs[0], jnp.log(jnp.linalg.norm(M @ basis[:, 0])), atol=1e-7
-    )
-    integral = float(trace_integral(chain, state, 6.3))
-    assert float(frame.progress.accumulators[0]) == pytest.approx(integral, abs=1e-6)
-    np.testing.assert_allclose(frame.basis.T @ frame.basis, jnp.eye(4), atol=1e-14)
 
 
 def test_orthonormalise_allows_dependent_columns():

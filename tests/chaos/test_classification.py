@@ -13,7 +13,6 @@ from systems.orbits import closed_orbit
 from jaxchain import (
     EventDriven,
     ExponentialDecay,
-    equation_8,
     find_limit_cycle,
     paper_chain,
     simulate,
@@ -22,10 +21,7 @@ from jaxchain.chaos.classification import verdict, verdicts
 from jaxchain.model import (
     AbstractCells,
     Duffing,
-    LuGre,
     MechanicalCells,
-    ModeCoupling,
-    Pendulums,
     VanDerPol,
 )
 from jaxchain.model.oscillators import AbstractOscillators
@@ -98,42 +94,6 @@ def test_the_verdict_on_a_single_sticking_mass_has_no_number_of_rounding(solver,
     assert found.lead.high[1] < -1.0
 
 
-@pytest.mark.parametrize(
-    ("wrong", "match"),
-    [
-        ({"seeds": 0}, "`seeds`"),
-        ({"first": 0.0}, "`first`"),
-        ({"longest": 10.0}, "`longest` = 10"),
-        ({"noise": (-1.0,)}, "`noise`"),
-        ({"count": 1.5}, "`count`"),
-        ({"initials": jnp.ones(3)}, "the pair"),
-        ({"initials": (jnp.ones(3), jnp.ones(3))}, "(states, 3)"),
-        ({"initials": (jnp.ones((1, 2)), jnp.full((1, 2), jnp.nan))}, "initials velocity"),
-        ({"initials": (jnp.full((1, 2), jnp.inf), jnp.ones((1, 2)))}, "initials displacement"),
-        ({"longest": np.nan}, "`longest`"),
-        ({"rtol": 0.0}, "`rtol`"),
-    ],
-)
-def test_bad_input_is_named(wrong, match):
-    initials = wrong.pop("initials", (jnp.ones((1, 2)), jnp.zeros((1, 2))))
-    with pytest.raises(ValueError) as error:
-        verdicts(pair(), initials, **wrong)
-    assert match in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("initial", "match"),
-    [
-        ((jnp.full(1, jnp.nan), jnp.zeros(1)), "initial displacement"),
-        ((jnp.ones(2), jnp.zeros(2)), "but for one mass"),
-        (jnp.ones(3), "the pair"),
-    ],
-)
-def test_a_state_that_is_none_gets_no_verdict(initial, match):
-    with pytest.raises(ValueError, match=match):
-        verdict(paper_chain(n=1), initial)
-
-
 @pytest.mark.long
 def test_two_masses_that_know_nothing_of_each_other_are_quasi_periodic():
     found = verdict(pair(stiffness=(1.0, 1.7)), start(), **SETTINGS)
@@ -141,21 +101,6 @@ def test_two_masses_that_know_nothing_of_each_other_are_quasi_periodic():
     lead = found.lead
     np.testing.assert_allclose(lead.smooth[:2], 0.0, atol=1e-5)
     assert lead.slips > 10
-
-
-@pytest.mark.long
-def test_equal_masses_that_are_not_coupled_are_periodic():
-    """Their phases stay as they are: each orbit is one of a family."""
-    chain = paper_chain(2, belt_speed=1.5, width=None).with_(coupling=None)
-    initial = jnp.array([2.2, -2.0]), jnp.array([0.0, 1.4])
-    found = verdict(chain, initial, noise=(1e-3,), seeds=1, longest=2000.0)
-    assert found.verdict == "periodic", found.reason
-    assert found.lead.relaxation_time == np.inf
-    assert "neither grow nor decay" in found.reason
-    alone = closed_orbit(
-        paper_chain(1, belt_speed=1.5, width=None), (initial[0][:1], initial[1][:1]), 6.3
-    )
-    assert found.lead.period == pytest.approx(float(alone.period), rel=1e-9)
 
 
 @pytest.mark.long
@@ -199,44 +144,6 @@ def test_a_symmetric_start_on_an_unstable_orbit_is_found_out():
     np.testing.assert_allclose(clean.exponents[0], 0.008, rtol=0.1)
     turned = found.runs[-1].delays[1] - found.runs[-1].delays[0]
     np.testing.assert_allclose(abs(turned - round(turned)), 0.5, atol=1e-3)
-
-
-@pytest.mark.long
-def test_a_driven_oscillator_is_chaotic():
-    # v of mass 1 is van der Pol's v'' - 5 (1 - v^2) v' + v = 5 cos(2.466 t); mass 2 drives it.
-    frequency, spring, swing = 2.466, 0.01, 5.0 / 2.466 / 0.01
-    chain = pair(
-        gain=(5.0, 0.05), top=(1.0, 0.5 * swing * frequency), spring=spring,
-        stiffness=(1.0 - spring, frequency**2 - spring),
-    )  # fmt: skip
-    found = verdict(chain, start(x=(0.1, swing), v=(0.1, 0.0)), **SETTINGS)
-    assert found.verdict == "chaotic", found.reason
-    assert found.lead.low[0] > 0.01
-
-
-def _disturbance(chain, orbit, returns):
-    """The growth rate of an antisymmetric disturbance, from two runs."""
-    x, v = orbit.state
-    push = jnp.zeros(chain.n).at[1].set(1e-5).at[3].set(-1e-5)
-    left = []
-    for count in (1, 1 + returns):
-        run = simulate(chain, (x + push, v), count * orbit.period, solver=EventDriven(), rtol=1e-9)
-        left.append(run.state[0][1] - run.state[0][3])
-    return jnp.log(jnp.abs(left[1] / left[0])) / (returns * orbit.period)
-
-
-@pytest.mark.long
-def test_the_multipliers_of_a_symmetric_dry_orbit_hold_though_its_masses_stick_together():
-    chain = paper_chain(n=5, belt_speed=1.5)
-    x, v = equation_8(chain, jnp.array([False, True, True, True, False]))
-    run = simulate(chain, (x, v), 1500.0, solver=EventDriven(), rtol=1e-9)
-    orbit = closed_orbit(chain, run.state, 6.2275, solver=EventDriven())
-    assert float(orbit.gap) < 1e-10
-    assert float(orbit.defect) < 1e-6
-    x, _ = orbit.state
-    np.testing.assert_allclose(x[1], x[3], atol=1e-9)
-    assert float(orbit.exponents[0]) > 1e-3
-    np.testing.assert_allclose(_disturbance(chain, orbit, 60), orbit.exponents[0], rtol=0.05)
 
 
 def alone(*numbers):
@@ -337,47 +244,6 @@ def test_cells_that_are_not_coupled_are_one_of_a_family_or_on_a_torus():
     coupled = verdict(VanDerPol(1.0, coupling=0.05), start, **BRIEF)
     assert coupled.verdict == "periodic", coupled.reason
     assert 10 < coupled.lead.relaxation_time < 100
-
-
-@pytest.mark.long
-def test_cells_of_two_frequencies_that_are_not_coupled_are_on_a_torus():
-    start = jnp.array([2.0, 1.0]), jnp.zeros(2)
-    found = verdict(VanDerPol(jnp.array([0.5, 1.3])), start, **BRIEF)
-    assert found.verdict == "quasi-periodic", found.reason
-
-
-@pytest.mark.long
-def test_a_block_on_bristles_is_periodic_and_one_that_slides_is_at_rest():
-    found = verdict(LuGre(), alone(0, 0, 0), **BRIEF)
-    assert found.verdict == "periodic", found.reason
-    np.testing.assert_allclose(found.lead.period, 6.36272, atol=2e-5)  # as the docstring says
-    assert len(found.lead.state) == 3
-    sliding = verdict(LuGre(speed=2.0), alone(2.0, 2.0, 1.0), **BRIEF)
-    assert sliding.verdict == "steady sliding", sliding.reason
-
-
-@pytest.mark.long
-def test_two_modes_below_and_beyond_flutter():
-    modes = ModeCoupling(
-        2.0, 1.0, 0.5, contact_stiffness=1.0, friction=0.5, damping_x=0.05, damping_y=0.05,
-        cubic=1.0,
-    )  # fmt: skip
-    assert verdict(modes, alone(1, 0, 0, 0), **BRIEF).verdict == "steady sliding"
-    beyond = verdict(modes.with_(friction=1.5), alone(1, 0, 0, 0), **BRIEF)
-    assert beyond.verdict == "periodic", beyond.reason
-    # A divergence of -0.1: the four exponents have this sum.
-    np.testing.assert_allclose(beyond.lead.exponents.sum(), -0.1, atol=1e-6)
-
-
-@pytest.mark.long
-def test_pendulums_hang_below_the_threshold_and_beyond_it_repeat_after_two_shakes():
-    small = BRIEF | {"first": 500.0}
-    # Mathieu: l = 1, omega = 2, A omega^2 > 2 c loses stability.
-    flat = verdict(Pendulums(1.0, 0.02, 2.0), alone(0.1, 0), **small)
-    assert flat.verdict == "steady sliding", flat.reason
-    swings = verdict(Pendulums(1.0, 0.08, 2.0), alone(0.1, 0), **small)
-    assert swings.verdict == "periodic", swings.reason
-    np.testing.assert_allclose(swings.lead.period, 2 * np.pi, rtol=1e-12)
 
 
 class Hidden(AbstractCells):

@@ -6,15 +6,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jaxchain import paper_chain
-from jaxchain.boundaries.fold import find_fold
 from jaxchain.cycles.branches import continue_cycle, switch_cycle
-from jaxchain.cycles.orbit import residual
 from jaxchain.kinds.fold import Fold
 
 HOPF = np.log(10) / 2
 # Of one mass, found by another program.
 FOLDS = {0.05: 1.659307374, 1e-2: 1.792455775, 1e-3: 1.831129820}
-MIRRORED = (0, 1, 0)
 
 
 def one_mass_branch(width, **options):
@@ -156,53 +153,3 @@ def test_a_table_has_one_row_for_each_point(branch):
 def test_no_other_branch_begins_at_a_fold(branch):
     with pytest.raises(ValueError, match="symmetry breaking"):
         switch_cycle(branch, branch.of_kind("fold")[0])
-
-
-@pytest.fixture(scope="module")
-def fold_of_three():
-    chain = paper_chain(3, width=0.05)
-    fold = find_fold(chain, 1)
-    return chain.with_(belt_speed=fold.belt_speed), fold
-
-
-@pytest.fixture(scope="module")
-def symmetric(fold_of_three):
-    """One mass of three vibrates, stick-slip, down to where its neighbours join in."""
-    chain, fold = fold_of_three
-    return continue_cycle(
-        chain, fold.state, fold.period, direction="stick", images=MIRRORED, mass=1,
-        bounds=(1.345, 2.0),
-    )  # fmt: skip
-
-
-@pytest.mark.long
-def test_the_symmetry_breaks_where_the_whole_equations_have_a_branch_point(symmetric):
-    point = symmetric.of_kind("symmetry breaking")[0]
-    assert np.min(np.abs(point.multipliers - 1.0)) < 1e-8
-    k = point.index - 1
-    chain = symmetric.orbit.field.with_(belt_speed=symmetric.parameter[k])
-    whole = continue_cycle(
-        chain, (symmetric.x[k], symmetric.v[k]), symmetric.period[k], direction=-1, mass=1,
-        max_points=8, step=0.02, max_step=0.05,
-    )  # fmt: skip
-    branch_point = whole.of_kind("branch point")[0]
-    apart = abs(branch_point.parameter - point.parameter)
-    assert apart < 1e-7
-    assert apart <= branch_point.error + point.error < 1e-6
-
-
-@pytest.mark.long
-def test_an_asymmetric_branch_leaves_from_there(symmetric):
-    point = symmetric.of_kind("symmetry breaking")[0]
-    halves = [switch_cycle(symmetric, point, side=side, max_points=5) for side in (1, -1)]
-    a, b = halves
-    assert np.min(np.abs(a.amplitude[:, 0] - a.amplitude[:, 2])) > 1e-4
-    np.testing.assert_allclose(a.amplitude, b.amplitude[:, ::-1], atol=1e-6)
-    np.testing.assert_allclose(a.parameter, b.parameter, atol=1e-7)
-    # As in a pitchfork: the square of what breaks the symmetry grows with the parameter.
-    gap = (a.amplitude[:3, 0] - a.amplitude[:3, 2]) ** 2
-    off = a.parameter[:3] - point.parameter
-    np.testing.assert_allclose(gap / off, (gap / off)[0], rtol=0.2)
-    # It closes, for the other equations too.
-    r = residual(jnp.asarray(a.branch.u[3]), jnp.asarray(a.branch.p[3]), a.orbit)
-    assert float(jnp.max(jnp.abs(r))) < 1e-8

@@ -98,16 +98,6 @@ def one():
     return find_limit_cycle(ONE, (jnp.array([0.5]), jnp.array([1.2])))
 
 
-def test_one_mass_has_the_cycle_of_a_chain(one):
-    chain = find_limit_cycle(paper_chain(1, belt_speed=1.2, width=None))
-    for name in ("period", "amplitude", "fastest", "scaled_peak_velocity"):
-        np.testing.assert_allclose(getattr(one, name), getattr(chain, name), atol=1e-10)
-    np.testing.assert_allclose(flat(one), flat(chain), atol=1e-10)
-    np.testing.assert_allclose(one.multipliers, chain.multipliers, atol=1e-7)
-    assert one.stable
-    assert np.isnan(one.liouville_defect)
-
-
 def test_it_is_found_from_a_run_a_cycle_and_a_state_with_its_period(one):
     run = jc.simulate(ONE, (jnp.array([0.5]), jnp.array([1.2])), 50.0)
     chain = find_limit_cycle(paper_chain(1, belt_speed=1.3, width=None))
@@ -162,14 +152,6 @@ def test_a_ring_has_the_cycle_of_a_chain_and_the_derivative_of_differences():
     np.testing.assert_allclose(
         sorted_by_size(cycle.multipliers), sorted_by_size(same.multipliers), atol=1e-7
     )
-
-
-def test_smoothed_cells_know_how_near_the_belts_speed_they_come():
-    chain, cells = paper_chain(1, belt_speed=1.2, width=1e-2), ONE.with_(width=1e-2)
-    expected = find_limit_cycle(chain).scaled_peak_velocity
-    start = jnp.array([0.5]), jnp.array([1.2])
-    found = find_limit_cycle(cells, start).scaled_peak_velocity
-    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_a_family_of_cycles_has_no_single_one():

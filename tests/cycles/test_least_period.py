@@ -15,7 +15,6 @@ from jaxchain import (
     simulate,
 )
 from jaxchain.cycles.variational import FACTORS, Returned, Returns
-from jaxchain.model import Duffing
 
 SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)
 PERIOD = 6.686743645  # by SciPy, from one crossing of the velocity to the next
@@ -86,21 +85,3 @@ def test_dry_orbits_are_closed_with_the_least_period():
         assert float(orbit.period) == pytest.approx(float(once.period), abs=1e-10)
         assert float(orbit.gap) < 1e-12
         assert float(orbit.distance) == pytest.approx(float(once.distance), abs=1e-3)
-
-
-@pytest.mark.long
-def test_a_forced_orbit_is_refined_at_a_multiple_of_the_period_of_its_force():
-    well = Duffing(force=0.28, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
-    forced = 2 * np.pi / 1.2
-    run = simulate(well, (jnp.ones(1), jnp.zeros(1)), 40 * forced)
-    cycle = find_limit_cycle(well, run, period=2 * forced)
-    assert cycle.turns == 2
-    for times in (1, 2, 3):  # gone round so often
-        orbit = closed_orbit(well, run.state, 2 * times * forced)
-        assert float(orbit.gap) < 1e-11
-        np.testing.assert_allclose(orbit.period, 2 * forced, rtol=1e-12)
-        np.testing.assert_allclose(orbit.state, cycle.state, atol=1e-8)
-        np.testing.assert_allclose(orbit.multipliers, cycle.multipliers, atol=1e-7)
-    # Half of the period is that of another orbit, which is unstable.
-    once = closed_orbit(well, run.state, forced)
-    assert not (once.gap < 1e-9 and np.abs(once.multipliers).max() < 1)

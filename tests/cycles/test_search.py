@@ -13,7 +13,6 @@ from jaxchain import (
     Chain,
     ExponentialDecay,
     TanhFriction,
-    WeakeningStrengthening,
     active,
     excited_state,
     paper_chain,
@@ -22,7 +21,6 @@ from jaxchain import (
 )
 from jaxchain.boundaries import find_hopf_point
 from jaxchain.cycles.limit_cycle import find_limit_cycle
-from jaxchain.model.friction import GaussianStribeck
 from jaxchain.model.initial_states import release_state
 
 
@@ -247,29 +245,6 @@ def test_bounds_on_a_cycle_hold_and_are_sharp():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("share", [0.95, 1.0, 1.05])
-def test_no_cycle_is_made_up_above_the_fold_of_a_gaussian_law(share):
-    law = GaussianStribeck(0.888186 * share, 0.584163 * share, 0.537404, 0.015533)
-    chain = Chain(1, TanhFriction(law, 0.1), -1.141015, 0.127867)
-    for steps in (30, 60):
-        assert not find_limit_cycle(chain, max_steps=steps, throw=False).successful
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("speed", [1.7892, 1.792, -1.792])
-def test_cycles_near_the_fold_are_found_on_their_own_side(speed):
-    chain = paper_chain(1, width=0.01, belt_speed=speed)
-    slip = find_limit_cycle(chain, branch="unstable")
-    stick = find_limit_cycle(chain)
-    assert (slip.stable, stick.stable) == (False, True)
-    # Closeness at the fold: -2.142.
-    assert float(slip.scaled_peak_velocity[0]) < -2.142 < float(stick.scaled_peak_velocity[0])
-    assert max(float(slip.residual), float(stick.residual)) < 1e-9
-    assert isinstance(slip.chain, Chain)
-    assert float(slip.chain.belt_speed) == speed
-
-
-@pytest.mark.long
 def test_one_mass_vibrates_where_a_run_from_it_ends_with_several():
     chain = paper_chain(6, belt_speed=1.2)
     spread = simulate(chain, release_state(chain, 3), 400.0, observe=Amplitude(window=40.0))
@@ -306,46 +281,3 @@ def test_oscillators_of_ones_own_need_a_guess():
     field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
     with pytest.raises(ValueError, match="give a state as `guess`"):
         find_limit_cycle(field)
-
-
-LAWS = {
-    "exponential": (ExponentialDecay, (1.0, 0.5, 1.0)),
-    "strengthening": (WeakeningStrengthening, (1.0, 0.5, 1.0, 0.01)),
-    "gaussian": (GaussianStribeck, (1.0, 0.5, 1.0, 0.02)),
-}
-
-
-def coefficient(kind, numbers, speed):
-    high, low, v0, *grows = numbers
-    s = speed / v0
-    bump = np.exp(-(s**2) if kind == "gaussian" else -s)
-    return low + (high - low) * bump + sum(grows) * s
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("branch", ["stable", "unstable"])
-@pytest.mark.parametrize("kind", LAWS)
-def test_what_is_found_closes_in_an_independent_integration(kind, branch):
-    """At belt speeds below the fold and, of the Gaussian law, in a set far above it."""
-    make, numbers = LAWS[kind]
-    found = 0
-    for width, damping, belt in [(0.05, 0.05, 1.75), (0.02, 0.05, -1.8), (0.1, 0.12, -0.9)]:
-        chain = Chain(1, TanhFriction(make(*numbers), width), belt, damping)
-        cycle = find_limit_cycle(chain, branch=branch, max_steps=60, throw=False)
-        if not cycle.successful:
-            continue
-        found += 1
-
-        def field(t, y, width=width, damping=damping, belt=belt):
-            w = y[1] - belt
-            mu = coefficient(kind, numbers, abs(w))
-            return [y[1], -mu * np.tanh(w / width) - 2 * damping * y[1] - y[0]]
-
-        start = [float(part[0]) for part in cycle.state]
-        run = solve_ivp(field, (0, float(cycle.period)), start, method="DOP853", rtol=1e-11,
-                        atol=1e-13)  # fmt: skip
-        assert np.max(np.abs(run.y[:, -1] - start)) < 1e-7 * abs(belt)
-        assert np.ptp(run.y[0]) > 1e-2
-        grows = abs(complex(cycle.multipliers[0])) > 1
-        assert grows is (branch == "unstable")
-    assert found > 1

@@ -1,14 +1,10 @@
 """Rings that lose their symmetry: closed forms."""
 
-from typing import Any
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
-from scipy.optimize import fsolve
 from systems.oscillators import LinearRing
 
 from jaxchain import SearchResult, continue_cycle, find_limit_cycle
@@ -36,23 +32,6 @@ class Ring(AbstractCells):
             self.a * x - 2 * y - R * (x + y) + self.K * (dx - 2 * dy),
             self.a * y + 2 * x - R * (y - x) + self.K * (dy + 2 * dx),
         )
-
-
-class VanDerPolDuffing(AbstractCells):
-    """x'' + x = e [(1 - x^2) x' - x^3 / 3 + K (mean of x' - x') - 2 K (mean of x - x)].
-
-    With x = A exp(i t) + c.c. the averaged equations are those of `Ring` for the time e t / 2,
-    without the frequency 2: A' = (e / 2) [A - (1 - i) |A|^2 A + K (1 + 2 i) (mean - A)].
-    """
-
-    K: jax.Array
-    e: jax.Array
-
-    def rate(self, t, left, own, right):
-        x, v = own
-        dx, dv = (0.5 * (a + b) - c for a, b, c in zip(left, right, own, strict=True))
-        force = (1 - x**2) * v - x**3 / 3 + self.K * dv - 2 * self.K * dx
-        return v, -x + self.e * force
 
 
 def rotation(n, s, way=1):
@@ -226,15 +205,6 @@ def test_antiphase_cycles_lose_their_symmetry_in_three_ways():
         assert cycle_symmetry(field, state, other.period[0]).label == symmetry.label
 
 
-@pytest.mark.long
-def test_two_shifts_may_lead_to_masses_that_move_alike():
-    # Two rotations by one mass are none of the identity.
-    cells, start = Ring(jnp.asarray(-0.25)), wave(4, 2, -0.25)
-    symmetry = CycleSymmetry("", (0, 1, 0, 1), shift=((3, 0, 1, 2), 2))
-    found = find_limit_cycle(cells, start, images=symmetry, mass=0)
-    check_same(found.multipliers, multipliers(4, 2, -0.25))
-
-
 def test_in_a_ring_of_three_two_may_be_half_a_period_apart():
     """They swing against each other and the third is at rest: omega^2 = k + 3 eta."""
     x = jnp.array([0.0, 1.0, -1.0])
@@ -297,46 +267,3 @@ def test_a_symmetry_must_hold_at_every_phase_of_the_force():
     state = (jnp.zeros(4), jnp.zeros(4))
     assert len(ring_motions(Waves(jnp.ones(4)), state)) == 8
     assert len(ring_motions(Waves(jnp.array([1.0, 1.0, 1.0, 2.0])), state)) == 2
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("n", [4, 5])
-def test_van_der_pol_rings_lose_their_symmetry_as_averaging_says(n):
-    e, crossing = 0.05, 2 / (5 * (1 - np.cos(2 * np.pi / n)))
-    cells = VanDerPolDuffing(jnp.asarray(crossing + 0.05), jnp.asarray(e))
-    start = (jnp.zeros(n), jnp.full(n, 2.0)), 2 * np.pi
-    branch, found = branches_of(cells, n, start, (crossing - 0.1, crossing + 0.1))
-    (point,) = branch.of_kind("symmetry breaking")
-    assert point.parameter == pytest.approx(crossing, abs=2 * e)
-    assert len(found) == {4: 4, 5: 2}[n]
-    check_different(found)
-    for _, symmetry, _, other in found:
-        assert other.symmetry == symmetry.label
-        x, v = (part[-1] for part in other.state)
-        K, period = other.parameter[-1], other.period[-1]
-
-        def rate(t, y, K=K):
-            x, v = np.split(y, 2)
-            dx, dv = (0.5 * (np.roll(a, 1) + np.roll(a, -1)) - a for a in (x, v))
-            force = (1 - x**2) * v - x**3 / 3 + K * dv - 2 * K * dx
-            return np.concatenate([v, -x + e * force])
-
-        y = np.concatenate([x, v])
-        end = solve_ivp(rate, (0, period), y, method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-        np.testing.assert_allclose(end, y, atol=1e-8)
-        # The averaged equations, as far from their own crossing, from this cycle's A.
-        A, K = 0.5 * (x - 1j * v), K - point.parameter + crossing
-
-        def averaged(u, K=K):  # of the real and imaginary parts and the frequency
-            A, omega = u[:n] + 1j * u[n:-1], u[-1]
-            mean = 0.5 * (np.roll(A, 1) + np.roll(A, -1))
-            rate = A - (1 - 1j) * abs(A) ** 2 * A + K * (1 + 2j) * (mean - A) - 1j * omega * A
-            return [*rate.real, *rate.imag, u[n]]
-
-        A = A * np.exp(-1j * np.angle(A[0]))
-        guess = [*A.real, *A.imag, 2 / e * (2 * np.pi / period - 1)]
-        root: Any = fsolve(averaged, guess, xtol=1e-12)
-        assert np.max(np.abs(averaged(root))) < 1e-9
-        pattern = 2 * np.abs(root[:n] + 1j * root[n:-1])
-        assert np.ptp(pattern) > 0.02
-        np.testing.assert_allclose(other.amplitude[-1], pattern, atol=0.3 * np.ptp(pattern))

@@ -10,7 +10,6 @@ from scipy.stats import truncnorm
 
 from jaxchain import Amplitude, Chain, EventDriven, equation_8, paper_chain, simulate, sweep
 from jaxchain.boundaries.hopf import hopf_belt_speed
-from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.localization.mistuning import (
     linear_modes,
     localization_length,
@@ -191,14 +190,6 @@ def test_mistuned_stiffness_moves_no_hopf_speed():
     np.testing.assert_allclose(hopf_belt_speed(chain), np.log(10) / 2, rtol=1e-9)
 
 
-@pytest.mark.long
-def test_all_modes_of_a_mistuned_chain_cross_together():
-    chain = mistuned_chain(paper_chain(4), 2, 0.1)
-    points = hopf_points(chain, (0.5, 2.0))
-    np.testing.assert_allclose(points.belt_speed, np.log(10) / 2, rtol=1e-9)
-    np.testing.assert_allclose(points.frequency, linear_modes(chain).frequency, rtol=1e-9)
-
-
 def ladder(chain):
     return equation_8(chain, 2)
 
@@ -213,24 +204,6 @@ def thousand():
         paper_chain(4, 1.3), ladder, 20.0, vary=mistuned_chain,
         over={"disorder": [0.0, 0.08], "seed": range(500)}, **RUN,
     )  # fmt: skip
-
-
-@pytest.mark.long
-def test_a_chain_is_the_same_among_a_thousand_among_others_and_alone(thousand):
-    """Bit for bit in a pool of the same width; one lane by itself is compiled without vectors."""
-    arguments: dict = {"vary": mistuned_chain, **RUN}
-    others = sweep(
-        paper_chain(4, 1.3), ladder, 20.0, **arguments,
-        over={"seed": np.r_[900:1219, 333], "disorder": [0.08]},
-    )  # fmt: skip
-    for name in ("amplitude", "energy", "steps", "result"):
-        np.testing.assert_array_equal(others[name][-1, 0], thousand[name][1, 333])
-    alone = sweep(
-        paper_chain(4, 1.3), ladder, 20.0, **arguments, over={"disorder": [0.08], "seed": [333]}
-    )
-    np.testing.assert_array_equal(alone["steps"][0, 0], thousand["steps"][1, 333])
-    np.testing.assert_allclose(alone["amplitude"][0, 0], thousand["amplitude"][1, 333], rtol=1e-13)
-    assert thousand["active_count"].dims == ("disorder", "seed")
 
 
 @pytest.mark.long
@@ -267,34 +240,3 @@ def test_a_sweep_that_cannot_vary_so_is_refused(changes, text):
     arguments = {"vary": mistuned_chain, "over": {"seed": [1], "disorder": [0.1]}} | changes
     with pytest.raises(ValueError, match=text):
         sweep(paper_chain(4), ladder, 5.0, **arguments)
-
-
-@pytest.mark.long
-def test_vary_goes_with_the_numbers_of_the_chain_and_with_accuracy():
-    result = sweep(
-        paper_chain(2), ladder, 30.0, vary=mistuned_chain, accuracy=1e-2,
-        over={"disorder": [0.05], "seed": [0, 1], "belt_speed": [1.2, 1.4]},
-        observe=Amplitude(window=10.0),
-    )  # fmt: skip
-    assert result["width"].dims == ("disorder", "seed", "belt_speed")
-    chain = mistuned_chain(paper_chain(2, 1.4), 1, 0.05)
-    run = simulate(chain, ladder(chain), 30.0, accuracy=1e-2, observe=Amplitude(window=10.0))
-    np.testing.assert_allclose(result["amplitude"][0, 1, 1], run.observed, rtol=1e-3)
-
-
-@pytest.mark.long
-def test_the_participation_ratio_with_smoothed_friction_is_nearly_the_dry_one():
-    over = {"disorder": [0.02], "seed": range(3)}
-    ratios = [
-        participation_ratio(
-            jnp.asarray(
-                sweep(
-                    paper_chain(6, 1.5, 1e-3), ladder, 150.0, vary=mistuned_chain, over=over,
-                    observe=Amplitude(window=60.0), solver=solver,
-                )["amplitude"].values
-            )
-        )
-        for solver in (None, EventDriven())
-    ]  # fmt: skip
-    np.testing.assert_allclose(ratios[0], ratios[1], rtol=5e-3)
-    assert np.all(ratios[1] < 3.0)

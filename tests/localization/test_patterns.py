@@ -154,26 +154,6 @@ def test_chains_without_a_phase_model_are_refused(chain, named):
         phase_model(chain)
 
 
-@pytest.mark.parametrize("count", [0, 9, 2.0, True])
-def test_a_count_that_cannot_be_is_refused(model, count):
-    with pytest.raises(ValueError, match="`count`"):
-        locked_patterns(model, count)
-
-
-@pytest.mark.parametrize(
-    ("given", "named"),
-    [
-        ({"phases": np.zeros((2, 2))}, "`phases`"),
-        ({"phases": np.zeros(9)}, "`phases`"),
-        ({"phases": [0.0, np.nan]}, "`phases`"),
-        ({"phases": [0.0, 1.0], "first": 0}, "`first`"),
-    ],
-)
-def test_a_guess_that_cannot_be_made_is_refused(model, given, named):
-    with pytest.raises(ValueError, match=named):
-        pattern_guess(model, **given)
-
-
 @pytest.fixture(scope="module")
 def real():
     return phase_model(paper_chain(5, belt_speed=1.4, width=0.02).with_(coupling=2e-3))

@@ -376,8 +376,8 @@ def test_cells_of_one_number_run_and_others_are_refused():
 
 
 def test_a_run_of_cells_goes_backward_to_where_it_began():
-    cells, start = driven(), state(3, 2)
-    terms: Any = dfx.ODETerm(cells)  # pyright: ignore[reportArgumentType]
+    cells: Any = driven()
+    start, terms = state(3, 2), dfx.ODETerm(cells)
     end: Any = tuple(jnp.asarray(exact(cells, start, 3.0)))
     back: Any = dfx.diffeqsolve(terms, Rodas4(), 3.0, 0.0, -0.01, y0=end, max_steps=400)
     np.testing.assert_allclose(np.stack(back.ys)[:, -1], np.stack(start), atol=1e-6)

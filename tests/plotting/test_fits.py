@@ -1,14 +1,10 @@
 """The picture of a profile shows chi^2 over the number, and its interval."""
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
+from drawn import height
 
-from jaxchain import hopf_belt_speed
-from jaxchain.inverse import Measurements, identify, profile
-from jaxchain.model.chain import paper_chain
+from jaxchain.inverse import Profile
 from jaxchain.plotting.fits import plot_profile
 
 
@@ -17,36 +13,22 @@ def shaded(axes):
     return shade.get_x(), shade.get_x() + shade.get_width()
 
 
-def test_a_profile_is_drawn_as_its_closed_form():
-    chain, lab = paper_chain(1, width=None), Measurements(hopf=(1.2, 0.05))
-
-    def law(chain, v):
-        return chain.with_(v_ref=v)
-
-    of_v = profile(identify(chain, law, jnp.array(0.6), lab), chain, law, lab, 0)
+def test_a_profile_is_drawn_with_its_limit_and_its_interval():
+    values = jnp.linspace(0.3, 0.7, 41)
+    chi = ((values - 0.5) / 0.05) ** 2
+    low, high = 0.5 - 0.05 * 1.959964, 0.5 + 0.05 * 1.959964
+    of_v = Profile(values, 3.0 + chi, *map(jnp.asarray, (3.0, low, high, 0.95)))
     axes = plot_profile(of_v, "$v_0$ (–)")
     curve, limit = axes.get_lines()
-    values, rise = (np.asarray(data) for data in curve.get_data())
-    exact = jax.vmap(lambda v: ((1.2 - hopf_belt_speed(law(chain, v))) / 0.05) ** 2)(values)
-    np.testing.assert_allclose(rise, exact, atol=1e-9)
-    assert np.ptp(np.asarray(limit.get_ydata())) == 0.0
-    np.testing.assert_allclose(np.max(np.asarray(limit.get_ydata())), 1.959964**2, rtol=1e-6)
-    low, high = shaded(axes)
-    assert abs(np.interp(low, values, rise) - 1.959964**2) < 0.05
-    np.testing.assert_allclose((low, high), (of_v.low, of_v.high))
+    np.testing.assert_array_equal(curve.get_xdata(), values)
+    np.testing.assert_allclose(height(curve), chi, atol=1e-9)
+    np.testing.assert_allclose(height(limit), 1.959964**2, rtol=1e-6)
+    np.testing.assert_allclose(shaded(axes), (low, high))
     assert axes.get_xlabel() == "$v_0$ (–)"
-
-
-@pytest.mark.long
-def test_values_without_a_fit_are_left_out():
-    chain, lab = paper_chain(1, width=None), Measurements(hopf=(1.2, 0.05))
-
-    def law(chain, v):
-        return chain.with_(v_ref=v)
-
-    of_v = profile(identify(chain, law, jnp.array(0.6), lab), chain, law, lab, 0, points=5)
-    chi = of_v.chi_squared.at[0].set(jnp.nan)
-    lame = eqx.tree_at(lambda p: (p.chi_squared, p.low), of_v, (chi, jnp.asarray(-jnp.inf)))
+    # A value without a fit is left out, and an interval that does not end goes to the edge.
+    lame = Profile(
+        values, (3.0 + chi).at[0].set(jnp.nan), *map(jnp.asarray, (3.0, -jnp.inf, high, 0.95))
+    )
     axes = plot_profile(lame, "$v_0$ (–)")
-    assert np.size(axes.get_lines()[0].get_xdata()) == 4
-    assert shaded(axes)[0] == of_v.values[0]  # the interval does not end on this side
+    assert np.size(axes.get_lines()[0].get_xdata()) == 40
+    assert shaded(axes)[0] == values[0]

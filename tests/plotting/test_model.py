@@ -4,12 +4,12 @@ import jax.numpy as jnp
 import matplotlib
 import numpy as np
 import pytest
+from drawn import SCALES
 from matplotlib.colors import to_hex
 from matplotlib.patches import FancyArrowPatch, Rectangle
 
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction
-from jaxchain.model.units import Scales
 from jaxchain.plotting.model import draw_model, plot_friction_law, zigzag
 from jaxchain.plotting.style import BLUE, STYLE
 
@@ -108,17 +108,10 @@ def test_a_spring_keeps_its_ends_and_its_coils():
 
 
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
-SCALES = Scales.from_dimensional(
-    mass=2.0, damping=2.0, stiffness=200.0, coupling_stiffness=2.0, normal_load=10.0
-)
 
 
 def lines(axes):
     return [np.asarray(line.get_xydata()) for line in axes.get_lines()]
-
-
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 def test_a_dry_law_has_two_branches_and_an_upright_line_between_them():
@@ -149,7 +142,7 @@ def test_the_belt_points_where_it_goes():
         left, right = draw_model(paper_chain(2, belt_speed=speed)).axes
         arrows = [patch for patch in left.patches if isinstance(patch, FancyArrowPatch)]
         (belt,) = [arrow for arrow in arrows if to_hex(arrow.get_edgecolor()) == BLUE.lower()]
-        start, end = belt._posA_posB  # pyright: ignore[reportAttributeAccessIssue]
+        start, end = vars(belt)["_posA_posB"]
         assert np.sign(end[0] - start[0]) == np.sign(speed)
         at, force = curve(right, "steady sliding")
         assert at[0] == -speed

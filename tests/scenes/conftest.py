@@ -3,7 +3,6 @@
 import resource
 import signal
 
-import numpy as np
 import pytest
 import synthetic
 
@@ -29,15 +28,6 @@ def short_of_room():
 def made_up_sweep():
     """Replaces the computation: the last run of three masses fails; lists the calls."""
     calls = []
-
-    def sweep(chain, initial, t1, *, over, **options):
-        calls.append({"chain": chain, "initial": initial, "t1": t1, "over": over, **options})
-        axes = {name: np.asarray(values) for name, values in over.items()}
-        vibrating = np.ones(tuple(map(len, axes.values())), int)
-        if chain.n == 3:
-            vibrating[-1, -1] = -1
-        return synthetic.results(axes, vibrating, chain.n)
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(running, "sweep", sweep)
+        patch.setattr(running, "sweep", synthetic.recorded_sweep(calls, fails=True))
         yield calls

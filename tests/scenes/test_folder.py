@@ -1,11 +1,7 @@
 """The folder of results: claimed by one run, and never half written."""
 
 import os
-import shlex
-import shutil
 import signal
-import subprocess
-import sys
 import threading
 
 import numpy as np
@@ -188,39 +184,3 @@ def test_an_interruption_waits_until_all_is_written(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         results.save("first", data(1))
     assert saved(results.store)["first"].identical(data(1))
-
-
-ON_A_SMALL_DISK = """
-import os, sys
-from pathlib import Path
-import numpy as np
-import xarray as xr
-from jaxchain.scenes.folder import Results, StorageError, saved
-disk = Path(sys.argv[1])
-large = xr.Dataset({"speed": ("x", np.random.default_rng(0).random(60_000))})
-small = large.isel(x=slice(1000))
-results = Results(disk, "made_up")
-results.save("first", small)
-try:
-    results.save("second", large)
-except StorageError as error:
-    print(error)
-assert saved(results.store)["first"].identical(small)
-assert list(saved(results.store)) == ["first"]
-"""
-
-
-@pytest.mark.long
-def test_a_disk_that_is_full(tmp_path):
-    """A real one, of 400 kB: in a name space of its own no privilege is needed to mount it."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=400k", "none", str(disk)]
-    inside = ["unshare", "-rm", "sh", "-c", '"$0" "$@"']
-    if shutil.which("unshare") is None or subprocess.run([*inside, *mount]).returncode != 0:
-        pytest.skip("no file system can be mounted here, not even a private one")
-    script = f"{shlex.join(mount)} && exec {shlex.join([sys.executable, '-c', ON_A_SMALL_DISK])}"
-    command = ["unshare", "-rm", "sh", "-c", f"{script} {shlex.quote(str(disk))}"]
-    done = subprocess.run(command, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert f"cannot write `second` into {disk}: No space left on device." in done.stdout

@@ -1,83 +1,156 @@
-"""Thousands of broken scenes: each a clear error or a valid run."""
+"""Hundreds of built-in scenes with one to three mistakes: each a clear error or a valid run."""
 
+import copy
+import json
+import math
+import random
+import time
+
+import numpy as np
 import pytest
-from mutated_scenes import built, fault_of, judge, means_nothing, mutants
 
-from jaxchain.scenes.files import SceneError
-from jaxchain.scenes.running import run_scene
-from jaxchain.scenes.scene import LoadedScene
+from jaxchain.model.parameters import PARAMETERS
+from jaxchain.scenes.building import build
+from jaxchain.scenes.files import SceneError, builtin_scenes, read_scene
+from jaxchain.scenes.scene import load_scene
 
-SEED, FEW, COUNT = 14, 300, 1000
-pytestmark = pytest.mark.filterwarnings("ignore:.*If it is in SI units")
-
-
-def judged(folder, seed, count, first=0):
-    """The mutants that were accepted, as loaded; asserts that all others were refused in words."""
-    accepted, faults, refused = [], [], 0
-    for number, mutant in enumerate(mutants(seed, count, first), first):
-        verdict = judge(mutant, folder)
-        refused += verdict.loaded is None
-        if verdict.fault:
-            faults.append(
-                (number, mutant.base, mutant.mistakes, verdict.fault, verdict.text[:200])
-            )
-        elif verdict.loaded is not None:
-            accepted.append((number, verdict.loaded))
-    assert not faults, f"of the mutants of seed {seed}: {faults[:5]}"
-    assert refused > 0.6 * count
-    assert len(accepted) > 0.05 * count
-    return accepted
-
-
-def assert_meaning(accepted):
-    """Every chain can be made, and has forces; or is refused in words, too."""
-    faults, made = [], 0
-    for number, loaded in accepted:
-        try:
-            pairs = built(loaded)
-        except SceneError as error:
-            wrong = fault_of(str(error), error.problems, 0.0)
-            faults += [(number, wrong)] if wrong else []
-            continue
-        made += bool(pairs)
-        faults += [(number, wrong) for pair in pairs if (wrong := means_nothing(*pair))]
-    assert not faults
-    # What does not fit the model is refused only here.
-    assert made > 0.5 * len(accepted)
+SEED, COUNT = 14, 300
+# What a refusal may take, and how long its text and a line of it may be.
+MOST_SECONDS, MOST_CHARACTERS, MOST_OF_A_LINE = 2.0, 100_000, 2000
+NUMBERS = [
+    math.nan, math.inf, -1, 0, 1, 3, -1.0, 0.0, 0.5, 7.5, 1e300, 5e-324, 1e-12, 1e6, 10**9, 2**63,
+    10**30, -(10**30), 10**400, 1.5, 100,
+]  # fmt: skip
+TEXTS = [
+    "", "x", " ", "a/b", "../../../esc", ".", "a\nb", "a\x1b[31mb", "a\x00b", "\u202e", "ü" * 300,
+    "x" * 100_000, "$\\frac$", "__x", "x.y", "amplitude", "belt_speed", "time", "n", "2",
+]  # fmt: skip
+OTHERS = [
+    True, [], {}, [[]], [{}], {"x": 1}, [1, 1], ["a", "a"], [math.nan], [1, "x"], [[1.0]], [True],
+    [-1.5, 1.5], [5e-324], [10**30], [2, 1], {"start": 1.0, "stop": 2.0, "step": 0.1},
+    {"start": 1, "stop": 2, "count": 10**9}, {"start": 0.0, "stop": 1e300, "step": 1e-300},
+    {"law": "coulomb", "width": 0.1, "mu_dynamic": 0.5}, {"law": "custom", "width": 1e-3},
+    {"law": "tabulated", "width": 0.1, "speed": [0, 1], "mu": [1, 0.5]},
+    {"kind": "excited", "excited": 1}, {"kind": "equation_10"}, {"observer": "StickTime"},
+    [{"observer": "PeakTimes", "capacity": 10**9}], [{"observer": "Divergence"}] * 2,
+    [{"observer": "Samples", "interval": 5e-324, "capacity": 3}],
+]  # fmt: skip
+SWEPT = [*PARAMETERS, "excited", "displacement", "velocity", "n"]
 
 
+def inline(value):
+    """The value in TOML, in one line."""
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{inline(k)} = {inline(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def entries(data, path=()):
+    """(where, key, its path) of every key of every table and every entry of every list."""
+    for key, value in data.items() if isinstance(data, dict) else enumerate(data):
+        yield data, key, (*path, key)
+        if isinstance(value, dict | list):
+            yield from entries(value, (*path, key))
+
+
+def wrong(rng):
+    return copy.deepcopy(rng.choice(rng.choices([NUMBERS, TEXTS, OTHERS], [50, 15, 35])[0]))
+
+
+def change(data, rng):
+    """One mistake in the tables."""
+    where, key, _ = rng.choice([*entries(data)])
+    value = where[key]
+    kind = rng.choice(["replace", "replace", "delete", "misspell", "list", "scale", "sweep"])
+    if kind == "delete":
+        del where[key]
+    elif kind == "misspell" and isinstance(where, dict):
+        at = rng.randrange(len(key) + 1)
+        where[rng.choice([key[:at] + "x" + key[at:], key.upper(), *TEXTS])] = where.pop(key)
+    elif kind == "list" and isinstance(value, list):
+        value[:] = rng.choice([[], value * 2, value[::-1], [list(value)], value + value[:1]])
+    elif kind == "scale" and isinstance(value, int | float) and abs(value) < 1e100:
+        where[key] = value * rng.choice([-1, 2, 10, 10**6, 0.5, 1e-3])
+    elif kind == "sweep" and isinstance(where, dict):
+        where["sweep"] = {rng.choice(SWEPT): rng.choice([[rng.choice(NUMBERS), 1.0], wrong(rng)])}
+    else:
+        where[key] = wrong(rng)
+
+
+def damaged(text, rng):
+    """The text of a file with one mistake."""
+    at = rng.randrange(len(text) + 1)
+    lines = text.splitlines(keepends=True) or [b""]
+    return rng.choice([
+        text[:at], text[:at] + b"\xff" + text[at:], b"\xef\xbb\xbf" + text, b"\x00".join(lines),
+        text + rng.choice(lines), text + b"[" + b".".join([b"a"] * 5000) + b"]\nx = 1\n",
+        text[:at] + rng.choice(['"', "]", "=", "\n", "{", "#", "\x1b", "é"]).encode() + text[at:],
+        b"x = " + b"[" * 5000 + b"]" * 5000 + b"\n" + text, text[::-1],
+    ])  # fmt: skip
+
+
+def assignment(data, rng):
+    """A text for `--set`, with or without a mistake."""
+    path = ".".join(map(str, rng.choice([*entries(data), (data, "x", ("x",))])[2]))
+    usual, given = f"{path}={inline(wrong(rng))}", inline(wrong(rng))
+    others = [path, "=", f"{path}.x={given}", f"{usual}\ny=2", f"{usual}]", f"{path}=a b", ""]
+    return rng.choice([usual] * 20 + others)
+
+
+def faults_of(error, seconds):
+    text, lines = str(error), str(error).split("\n")
+    return {
+        "slow": seconds > MOST_SECONDS,
+        "long": len(text.encode("utf-8", "replace")) > MOST_CHARACTERS,
+        "not printable": not all(line.isprintable() for line in lines),
+        "not one line a problem": not error.problems or len(lines) > len(error.problems) + 2
+        or max(map(len, lines)) > MOST_OF_A_LINE or not all(line.strip() for line in lines),
+    }  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:.*If it is in SI units")
 def test_hundreds_of_mutants_are_refused_in_words_or_valid(tmp_path):
-    accepted = judged(tmp_path, SEED, FEW)
-    assert_meaning(accepted[:10])
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_thousands_of_mutants_are_refused_in_words_or_mean_something(seed, tmp_path):
-    assert_meaning(judged(tmp_path, seed, 3 * COUNT))
-
-
-def tiny(experiment):
-    """A short experiment of two values of each number at most, and of no more than 3000 steps."""
-    time = {"transient": min(experiment.time.transient, 3.0), "window": 7.0}
-    return experiment.model_copy(
-        update={
-            "time": experiment.time.model_copy(update=time),
-            "sweep": {name: own[:2].tolist() for name, own in experiment.grid().items()},
-            "numerics": experiment.numerics.model_copy(update={"max_steps": 3000, "lanes": 2}),
-        }
-    )
-
-
-@pytest.mark.long
-def test_scenes_that_are_accepted_run(tmp_path):
-    for number, loaded in judged(tmp_path, 7, COUNT)[:8]:
-        parts = {name: tiny(part) for name, part in loaded.scene.experiment.items()}
-        short = LoadedScene(loaded.name, loaded.scene.model_copy(update={"experiment": parts}))
-        folder = tmp_path / f"results-{number}"
-        folder.mkdir()
+    scenes, file = {name: read_scene(name)[1] for name in builtin_scenes()}, tmp_path / "mine.toml"
+    accepted, refused, made, faults = [], 0, 0, []
+    for number in range(COUNT):
+        rng = random.Random(f"{SEED}/{number}")
+        data = copy.deepcopy(scenes[rng.choice([*scenes])])
+        kinds = rng.choices(["table", "text", "set"], [75, 10, 15], k=rng.choice((1, 1, 1, 2, 3)))
+        for _ in range(kinds.count("table")):
+            change(data, rng)
+        text = "".join(f"{inline(key)} = {inline(value)}\n" for key, value in data.items())
+        text = text.encode("utf-8", "surrogatepass")
+        text = damaged(text, rng) if "text" in kinds else text
+        file.write_bytes(text)
+        begun = time.process_time()
         try:
-            data = run_scene(short, folder, plot=False, report=lambda text: None)
-        except SceneError:
+            loaded = load_scene(str(file), [assignment(data, rng)] * kinds.count("set"))
+        except SceneError as error:
+            refused += 1
+            found = faults_of(error, time.process_time() - begun)
+            faults += [(number, fault, str(error)[:200]) for fault, so in found.items() if so]
+        else:
+            accepted.append((number, loaded))
+    for number, loaded in accepted[:10]:
+        try:
+            parts = build(loaded)
+        except SceneError as error:  # what does not fit the model is refused only here
+            found = faults_of(error, 0.0)
+            faults += [(number, fault, str(error)[:200]) for fault, so in found.items() if so]
             continue
-        assert set(parts) <= set(data)
+        for name, one in parts.items():
+            grid = loaded.scene.experiment[name].grid()
+            own = {"excited", "displacement", "velocity"} & grid.keys()
+            first = {key: grid[key][0] for key in own}
+            state = one.initial(one.model, **first)
+            made += 1
+            if not all(np.isfinite(a).all() for a in (*state, *one.model(0.0, state))):
+                faults.append((number, "forces are not finite", ""))
+    assert not faults
+    assert refused > 0.6 * COUNT
+    assert len(accepted) > 0.05 * COUNT
+    assert made > 3

@@ -139,9 +139,9 @@ def ordered(cycles, which):
     return speed[order], amplitude[order]
 
 
-@pytest.mark.parametrize("first", [1, 40, 60])
+@pytest.mark.parametrize("first", [1, 60])
 def test_an_interrupted_branch_is_not_taken_for_a_whole_one(monkeypatch, first):
-    """In the slip cycles at once, in them, and in the stick-slip cycles."""
+    """In the slip cycles at once, and in the stick-slip cycles."""
     seen = []
 
     def interrupt(count, point):
@@ -169,13 +169,6 @@ def test_a_few_belt_speeds_have_no_branch(tmp_path):
     loaded = one_oscillator(tmp_path, 3)
     grid = loaded.scene.experiment["ladder"].grid()
     assert cycles(build(loaded)["ladder"].model, grid) is None
-
-
-@pytest.mark.long
-def test_dry_friction_has_no_branch(tmp_path):
-    loaded = one_oscillator(tmp_path, 10, "dry")
-    data = run_scene(loaded, tmp_path, plot=False, report=lambda text: None)
-    assert list(data) == ["ladder"]
 
 
 def test_the_hopf_speed_follows_the_swept_numbers():

@@ -13,6 +13,7 @@ HEAVY = {
 # Runs commands one after the other; its last line says how each ended and what is loaded by then.
 PROGRAM = """
 import json, sys
+import jaxchain.model.parameters  # which need none either
 from jaxchain.cli import main
 ended = []
 for arguments in json.loads(sys.argv[1]):

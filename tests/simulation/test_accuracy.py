@@ -26,13 +26,13 @@ from jaxchain.observers import settled
 from jaxchain.simulation import choose_numerics
 from jaxchain.simulation.method import default_rtol
 
-SETS, N = 20, 3
+SETS, N = 12, 3
 # A series shorter than what suits a tight tolerance takes more steps, but compiles fast.
 EXACT = EventDriven(order=6)
 
 
 def random_sets():
-    """Twenty chains: numbers by name, masses excited, end states and amplitudes in truth."""
+    """Twelve chains: numbers by name, masses excited, end states and amplitudes in truth."""
     rng = np.random.default_rng(20261121)
     numbers = {
         "belt_speed": rng.uniform(0.2, 1.7, SETS),
@@ -68,10 +68,10 @@ def test_for_five_periods_the_promise_is_kept_by_everything():
     for accuracy in (3e-2, 1e-3):
         states, amplitude, numerics = solve(accuracy, *sets)
         error = jnp.max(jnp.abs(states - truth[0]), axis=(-3, -2, -1)) / greatest
-        assert np.sum(error <= accuracy) >= 19
+        assert np.sum(error <= accuracy) >= 11
         assert np.all(error <= 2 * accuracy)
         wrong = jnp.max(jnp.abs(amplitude - truth[1]), axis=-1) / greatest
-        assert np.sum(wrong <= accuracy) >= 19
+        assert np.sum(wrong <= accuracy) >= 11
         assert np.all(wrong <= 2 * accuracy)
         # It does not keep it by being wasteful: the best are not a hundred times too good.
         assert np.max(error) > 0.1 * accuracy

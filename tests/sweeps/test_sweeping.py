@@ -236,26 +236,6 @@ def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
     assert time == pytest.approx(float(run.t), rel=1e-9)
 
 
-@pytest.mark.long
-def test_any_number_of_the_chain_and_of_the_start_can_be_swept():
-    result = sweep(
-        CHAIN,
-        lambda chain, pull: excited_state(chain, 4, amplitude=pull),
-        20.0,
-        over={"width": [1e-2, 1e-3], "mu_static": [0.9, 1.0], "pull": [0.0, 2.0]},
-        observe=[Amplitude(window=10.0), PeakTimes(capacity=4)],
-    )
-    assert result.amplitude.shape == (2, 2, 2, 4)
-    assert result.peak_time.dims == ("width", "mu_static", "pull", "peak", "oscillator")
-    chain = CHAIN.with_(width=1e-2, mu_static=0.9)
-    run = simulate(
-        chain, excited_state(chain, 4), 20.0, observe=[Amplitude(window=10.0), PeakTimes(4)]
-    )
-    lane = result.isel(width=0, mu_static=0, pull=1)
-    np.testing.assert_allclose(lane.amplitude, run.observed[0], atol=1e-4)
-    np.testing.assert_allclose(lane.peak_time, run.observed[1], atol=1e-3)
-
-
 def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     from jaxchain.sweeps import scheduler
     from jaxchain.sweeps.scheduler import Pool
@@ -289,14 +269,6 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     unknown = [state == "interrupted" for state in states]
     for name in ("active_count", "steps", "rejected", "end_time"):
         assert np.isnan(result[name].values).tolist() == unknown
-
-
-@pytest.mark.long
-def test_an_observer_of_ones_own_is_labelled():
-    data = sweep(CHAIN, equation_8, 5.0, over={"excited": [0, 2]}, observe=Named("last"))
-    run = simulate(CHAIN, equation_8(CHAIN, 2), 5.0, observe=Last())
-    assert data["last"].attrs == {"long_name": "last x_n", "units": "x0"}
-    np.testing.assert_allclose(data["last"].sel(excited=2), run.observed, atol=1e-4)
 
 
 @pytest.mark.long

@@ -48,7 +48,7 @@ def by_scipy(damping, state, time=500.0, *, until_kept=True):
     def kept(t, y):
         return y[1] ** 2 / 2 - y[0] ** 2 / 2 + y[0] ** 4 / 4 + 1e-3
 
-    setattr(kept, "terminal", until_kept)  # noqa: B010
+    vars(kept).update(terminal=until_kept)
     ended = solve_ivp(
         rate, (0.0, time), state, method="DOP853", rtol=1e-11, atol=1e-13, events=kept
     )
