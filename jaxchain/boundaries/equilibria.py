@@ -12,7 +12,7 @@ where friction is at that limit.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import equinox as eqx
 import jax
@@ -301,7 +301,7 @@ def find_equilibrium(
     """
     state, limit = _checked(model, guess, tolerance, max_steps)
     check_flag("throw", throw)
-    if model.dry and not alone(model) and _some_stick(model):
+    if _some_stick(model) and not alone(cast(Any, model)):
         raise ValueError(
             "Argument `model` must have belts that move under all of its contacts, as several "
             "that stick share forces that are not known: run it, `simulate(model, ...)`."
