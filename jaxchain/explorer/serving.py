@@ -1,0 +1,138 @@
+"""The server of the explorer: for the command line, and for a notebook."""
+
+from __future__ import annotations
+
+import html
+import importlib.util
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from .._types import Given, StateLike
+
+MISSING = "The explorer needs Panel: pip install 'jaxchain[explore]'"
+# A model, its state, and stored sweeps: (parameter values, energies) by the parameter's name.
+Explored = tuple[Any, Any, dict[str, Any]]
+
+
+class Explorer:
+    """A running explorer: `url` is its address; a notebook shows it in a frame.
+
+    `stop()` ends it, `wait()` returns when it has ended.
+
+    See `explore` for an example.
+    """
+
+    def __init__(self, server: Any, url: str, searcher: Any) -> None:
+        self.url, self._server, self._searcher = url, server, searcher
+        self._ended = threading.Event()
+
+    def stop(self) -> None:
+        """Ends the server and its searches."""
+        self._server.stop()
+        self._searcher.stop()
+        self._ended.set()
+
+    def wait(self) -> None:
+        """Returns when the explorer has been stopped; Ctrl-C stops it."""
+        try:
+            while not self._ended.wait(0.5):
+                pass
+        finally:
+            self.stop()
+
+    def _repr_html_(self) -> str:
+        address = html.escape(self.url, quote=True)
+        return f'<iframe src="{address}" width="100%" height="820" frameborder="0"></iframe>'
+
+
+def explore(
+    model: Any,
+    state: Given[StateLike],
+    *,
+    port: int = 0,
+    address: str = "127.0.0.1",
+    show: bool = False,
+) -> Explorer:
+    """Starts the explorer of a model: a run in the browser that goes on while sliders move.
+
+    Every tab has a run of its own, which begins at `state`.  Returns at once; a notebook shows the
+    page in its cell.
+
+    **Arguments:** `model`, any that `simulate` takes; `state`, its initial state; `port`, 0 for
+    any free one; `address`: where the server listens, by default for this computer alone; `show`:
+    open a browser.
+
+    **Raises:** `ValueError` for a state or a port that cannot be; `ImportError` without Panel.
+
+    ```python
+    chain = paper_chain(20, belt_speed=1.5)
+    explorer = explore(chain, equation_8(chain, 5))
+    explorer.url, explorer.stop()
+    ```
+    """
+    from ..model.arguments import as_model, as_state
+
+    state = as_state(as_model(model), state, "state")
+    return serve(lambda: (model, state, {}), port, address, show)
+
+
+def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> Explorer:
+    """Serves what `make` makes, in a thread beside this one."""
+    if importlib.util.find_spec("panel") is None:
+        raise ImportError(MISSING)
+    if not isinstance(port, int) or not 0 <= port < 65536:
+        raise ValueError(f"Argument `port` must be 0 or a free port below 65536, but is {port}.")
+    made: list[Explored | Exception] = []
+
+    def prepare() -> None:
+        try:
+            made.append(make())
+            from . import page  # noqa: F401
+        except Exception as error:
+            made.append(error)
+
+    # JAX loads while the server starts.
+    preparing = threading.Thread(target=prepare, daemon=True)
+    preparing.start()
+    port = _free_port(address, port)
+    import panel as pn
+
+    preparing.join()
+    if isinstance(made[0], Exception):
+        raise made[0]
+    model, state, stored = made[0]
+    from .page import visit
+    from .searches import Searcher
+    from .session import Session
+
+    searcher = Searcher()
+
+    def of_visitor() -> Any:
+        given = pn.state.session_args or {}
+        query = {name: values[0].decode() for name, values in given.items()}
+        return visit(Session(model, state), stored, searcher, query)
+
+    host = "127.0.0.1" if address == "0.0.0.0" else address
+    server = pn.serve(
+        of_visitor, port=port, address=address, show=show, threaded=True, verbose=False,
+        title="jaxchain explorer", websocket_origin=["*"] if address == "0.0.0.0" else
+        [f"{host}:{port}", f"localhost:{port}"],
+    )  # fmt: skip
+    return Explorer(server, f"http://{host}:{port}/", searcher)
+
+
+def _free_port(address: str, port: int) -> int:
+    """The port, or a free one for 0; `ValueError` if another program listens there."""
+    import socket
+
+    with socket.socket() as trial:
+        trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            trial.bind((address, port))
+        except OSError as error:
+            raise ValueError(
+                f"Argument `port` = {port} cannot be used at {address} ({error.strerror}): give "
+                "another one, or 0 for any."
+            ) from None
+        return trial.getsockname()[1]
