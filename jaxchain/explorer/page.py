@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import panel as pn
-from bokeh.models import ColumnDataSource, CustomJS
+from bokeh.layouts import column, row
+from bokeh.models import ColumnDataSource, CustomJS, NumericInput
+from bokeh.models import Slider as BokehSlider
 
 from . import searches, takeaway
 from .pictures import Pictures, plain
@@ -41,7 +43,7 @@ _NUMBERS = """
 dl { display: flex; flex-wrap: wrap; gap: 0 18px; margin: 0; font-size: 12.5px; min-height: 36px }
 dt { font-weight: 600; display: inline; margin-right: 5px } dd { display: inline; margin: 0 }
 """
-_ACKNOWLEDGE = "ack.tags = [cb_obj.get_column('frame')[0]]"
+_ACKNOWLEDGE = "const now = cb_obj.tags; requestAnimationFrame(() => { ack.tags = now })"
 # One motion is repeated without a seam: whole turns of the velocity, at the frequency wanted.
 _SOUND = """
 if (!on.value) { if (window.squeal) window.squeal.close(); window.squeal = null; return }
@@ -96,9 +98,8 @@ class Page:
         self.changed, self.cancelled = time.monotonic(), threading.Event()
         self.ack = ColumnDataSource(tags=[0])
         self.ack.on_change("tags", self._acknowledged)
-        self.pictures.image.js_on_change(
-            "data", CustomJS(args={"ack": self.ack}, code=_ACKNOWLEDGE)
-        )
+        told = CustomJS(args={"ack": self.ack}, code=_ACKNOWLEDGE)
+        self.pictures.chain.js_on_change("tags", told)
         self.wave = ColumnDataSource({"v": [], "rate": []})
         self._make_widgets()
         if session.axis is not None:
@@ -134,19 +135,7 @@ class Page:
         rows = "; ".join(session.model.variable(k).name for k in range(len(session.start)))
         self.typed = make.TextInput(name="typed state", placeholder=rows, **small)
         self.restart = button("Restart", self._restart, "warning")
-        self.sliders = {}
-        for slider in session.sliders:
-            row = slider.row
-            text = slider.name if row.words == row.name else row.words.replace("friction co", "co")
-            text = f"{text} {row.long_name.removeprefix(row.words).strip()}".strip()
-            text = plain(text) + ("" if row.unit == "1" else f" ({plain(row.unit)})")
-            made = make.EditableFloatSlider(
-                name=text, value=session.value(slider.name), start=slider.low, end=slider.high,
-                step=slider.step, format="0.[000000]", **small,
-            )  # fmt: skip
-            self.sliders[slider.name] = watched(
-                made, lambda value, name=slider.name: self._change(name, value)
-            )
+        self.sliders = {slider.name: self._slider(slider) for slider in session.sliders}
         kick = f"kick ({plain(session.shown[1].unit)})".replace(" (1)", "")
         self.strength = make.FloatInput(name=kick, value=2.0, step=0.5, **small)
         shown = make.IntSlider(
@@ -185,6 +174,38 @@ class Page:
             "Starts ...", stylesheets=[_NUMBERS], margin=(0, 6), sizing_mode="stretch_width"
         )
 
+    def _slider(self, slider: Any) -> tuple[Any, Any]:
+        """A slider and a box for one parameter.  Bokeh's own act at once, Panel's after 50 ms."""
+        about, value = slider.row, self.session.value(slider.name)
+        text = about.words.replace("friction co", "co")
+        text = slider.name if about.words == about.name else text
+        text = f"{text} {about.long_name.removeprefix(about.words).strip()}".strip()
+        text = plain(text) + ("" if about.unit == "1" else f" ({plain(about.unit)})")
+        made = BokehSlider(
+            title=text, value=value, start=slider.low, end=slider.high, step=slider.step,
+            show_value=False, sizing_mode="stretch_width", margin=(1, 4, 1, 6),
+        )  # fmt: skip
+        box = NumericInput(value=value, mode="float", width=72, margin=(8, 2, 1, 2))
+
+        def act(attr: str, old: Any, new: Any) -> None:
+            del attr, old
+            # A slider multiplies its step with rounding.
+            number = self.session.value(slider.name) if new is None else float(f"{new:.12g}")
+            if number != self.session.value(slider.name):
+                self._doing(self._change, slider.name, number)
+
+        made.on_change("value", act)
+        box.on_change("value", act)
+        return made, box
+
+    def _show_value(self, name: str) -> None:
+        """Shows a parameter in its slider and its box."""
+        (made, box), value = self.sliders[name], self.session.value(name)
+        made.update(start=min(made.start, value), end=max(made.end, value))
+        box.value = value
+        if abs(made.value - value) > 1e-9 * abs(value):
+            made.value = value
+
     def _file(self, name: str, filename: str, write: Callable[[Session], str]) -> Any:
         """A button that downloads what `write` makes of the session, if it can."""
         made = pn.widgets.FileDownload(
@@ -205,10 +226,11 @@ class Page:
             return pn.Card(*parts, title=name, **options, **stretch)
 
         pictures = self.pictures
+        knobs = column([row(*pair, **stretch) for pair in self.sliders.values()], **stretch)
         controls = pn.Column(
             pn.Row(self.play, self.step, **stretch),
             self.speed,
-            titled("Parameters", *self.sliders.values()),
+            titled("Parameters", pn.pane.Bokeh(knobs, **stretch)),
             titled("Start", self.start, self.excited, self.typed, self.restart),
             titled("Shown", self.shown, self.strength, self.axis, self.beside),
             titled(
@@ -247,16 +269,12 @@ class Page:
         if self.message.object != (shown if text else ""):
             self.message.object = shown if text else ""
 
-    def _change(self, name: str, value: Any) -> None:
-        before = self.session.value(name)
-        if value is None or float(value) == before:
-            return
+    def _change(self, name: str, value: float) -> None:
         try:
-            self.session.change(**{name: float(value)})
-        except ValueError:
-            self.sliders[name].value = before
-            raise
-        self.changed = time.monotonic()
+            self.session.change(**{name: value})
+            self.changed = time.monotonic()
+        finally:
+            self._show_value(name)
 
     def _play(self, on: bool) -> None:
         self.play.name = "Pause" if on else "Play"
@@ -382,8 +400,12 @@ class Page:
 
     def tick(self) -> None:
         """Goes on by a frame, and shows it unless the browser is behind."""
-        if not self.ready:
+        visitor = self.doc.session_context.session
+        if not self.ready or visitor is None or not visitor.connection_count:
             return
+        for connection in visitor._subscribed_connections:
+            # Or a message waits until the browser has confirmed the last one, for 40 ms.
+            connection._socket.set_nodelay(True)
         self.count += 1
         if self.play.value and not self.session.failure:
             self.session.advance(self.session.speed * FRAME * 1e-3)
@@ -398,15 +420,14 @@ class Page:
         if not self.ready or behind:
             return
         self.frame, self.sent = self.frame + 1, now
-        with pn.io.hold():
-            if counted:
-                numbers = [self.session.numbers(k) for k in range(len(self.session.runs))]
-                self.pictures.count(numbers)
-                self.numbers.object = self._numbers(numbers)
-                self._ask_for_limits()
-                if self.sound.value:
-                    self._sound()
-            self.pictures.move(self.frame)
+        if counted:
+            numbers = [self.session.numbers(k) for k in range(len(self.session.runs))]
+            self.pictures.count(numbers)
+            self.numbers.object = self._numbers(numbers)
+            self._ask_for_limits()
+            if self.sound.value:
+                self._sound()
+        self.pictures.move(self.frame)
 
     def _sound(self) -> None:
         """The velocities of whole turns, for the browser to repeat."""

@@ -33,8 +33,11 @@ from .session import WINDOW, Numbers, Session
 
 # Time units of the space-time picture, its columns, and the colours without the lightest ones.
 _LONG, _COLUMNS, _SHADES = 60.0, 240, Viridis256[:236]
+_SCROLLS = 3  # frames between two of its pictures
 _SPRING = 0.1 * np.array([0, 0, 1, -1, 1, -1, 1, -1, 0, 0])
 _ALONG = np.array([0.0, 0.15, 0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.85, 1.0])
+# Of a mass that sticks: x and y of three strokes from its lower left to its upper right.
+_STROKES = np.array([[[0.0, 0.6], [0.0, 1.0], [0.4, 1.0]], [[0.4, 1.0], [0.0, 1.0], [0.0, 0.6]]])
 # Of the run, and of the one beside it.
 _RUNS: Any = ({"color": BLUE}, {"color": VERMILION, "line_dash": "dashed"})
 _ROW = 2.6  # the distance of two chains
@@ -109,18 +112,19 @@ class Pictures:
         page.yaxis.visible = False
         page.xaxis.ticker = FixedTicker(ticks=list(range(1, n + 1, max(1, n // 20))))
         page.grid.visible = False
-        self.blocks = _source("left", "right", "bottom", "top", "color", "hatch")
-        self.springs, self.marks = _source("x", "y"), _source("x", "y")
+        self.lines, self.marks = _source("x", "y"), _source("x", "y")
         self.belt = page.quad(
             left=0.3, right=n + 0.7, bottom=[-0.45], top=[0.0], color="#eeeeee", line_color="black"
         )
         page.line("x", "y", source=self.marks, color=GREY)
-        page.line("x", "y", source=self.springs, color="black", line_width=0.8)
-        page.quad(
-            "left", "right", "top", "bottom", source=self.blocks, fill_color="color",
-            line_color="black", hatch_pattern="hatch", hatch_color="black", hatch_alpha=0.7,
-            hatch_scale=6, hatch_weight=0.8,
-        )  # fmt: skip
+        self.blocks = []
+        for colour in (BLUE, ORANGE):
+            self.blocks.append(_source("left", "right", "bottom", "top"))
+            page.quad(
+                "left", "right", "top", "bottom", source=self.blocks[-1], color=colour,
+                line_color="black",
+            )  # fmt: skip
+        page.line("x", "y", source=self.lines, color="black", line_width=0.8)
         self.belt.visible = session.model.frictional
         page.on_event("tap", lambda event: kick(int(np.clip(round(event.x), 1, n)) - 1))
         return page
@@ -128,29 +132,27 @@ class Pictures:
     def _move_chain(self) -> None:
         runs, n = self.session.runs, self.session.n
         scale, half, home = 0.3 / self.reach[0], 0.2, np.arange(1, n + 1)
-        left, springs, marks, stuck, rows = [], [], [], [], []
+        left, lines, marks, rows = [], [], [], []
+        coupled = getattr(self.session.model, "coupling", "") is not None
         for k, run in enumerate(runs):
             middle = home + scale * run.last[run.component]
             left.append(middle - half)
-            stuck.append(run.sticks)
             rows.append(np.full(n, -_ROW * k))
             ends = middle[:-1] + half, middle[1:] - half
             zigzag = ends[0][:, None] + (ends[1] - ends[0])[:, None] * _ALONG
-            springs.append(_broken(zigzag, np.broadcast_to(0.5 + _SPRING - _ROW * k, zigzag.shape)))
+            lines.append(_broken(zigzag[: n * coupled], 0.5 + _SPRING - _ROW * k))
+            # Strokes through a mass that sticks, besides its colour.
+            strokes = (middle[run.sticks] - half)[:, None, None] + 2 * half * _STROKES[0]
+            lines.append(_broken(strokes.reshape(-1, 2), np.tile(_STROKES[1], (len(strokes), 1)) - _ROW * k))
             if run.model.frictional:
                 start = 0.3 + (scale * run.way) % 0.5 + 0.5 * np.arange(int(2 * (n + 0.4)))
-                tilted = np.stack([start, start + 0.12], axis=1)
-                low = np.broadcast_to([-0.45 - _ROW * k, -_ROW * k], tilted.shape)
-                marks.append(_broken(tilted, low))
-        sticks, row, x = np.concatenate(stuck), np.concatenate(rows), np.concatenate(left)
-        self.blocks.data = {
-            "left": x, "right": x + 2 * half, "bottom": row, "top": row + 1.0,
-            "color": np.where(sticks, ORANGE, BLUE).tolist(),
-            "hatch": np.where(sticks, "/", " ").tolist(),
-        }  # fmt: skip
-        coupled = n > 1 and getattr(self.session.model, "coupling", "") is not None
-        self.springs.data = _joined(springs if coupled else [])
-        self.marks.data = _joined(marks)
+                marks.append(_broken(start[:, None] + [0.0, 0.12], np.array([-0.45, 0.0]) - _ROW * k))
+        sticks = np.concatenate([run.sticks for run in runs])
+        row, x = np.concatenate(rows), np.concatenate(left)
+        for blocks, which in zip(self.blocks, (~sticks, sticks), strict=True):
+            low, at = row[which], x[which]
+            blocks.data = {"left": at, "right": at + 2 * half, "bottom": low, "top": low + 1.0}
+        self.lines.data, self.marks.data = _joined(lines), _joined(marks)
 
     # Space and time ------------------------------------------------------------------------------
     def _space_time(self) -> Any:
@@ -160,7 +162,7 @@ class Pictures:
             "oscillator n", x_range=Range1d(-_LONG, 0), y_range=Range1d(0.5, n + 0.5),
         )  # fmt: skip
         self.colours = LinearColorMapper(_SHADES, low=-1, high=1, nan_color="#ffffff")
-        self.image = _source("image", "frame")
+        self.image = _source("image")
         page.image(
             "image", source=self.image, x=-_LONG, y=0.5, dw=_LONG, dh=n, color_mapper=self.colours
         )
@@ -174,7 +176,7 @@ class Pictures:
         page.yaxis.ticker = BasicTicker(min_interval=1, num_minor_ticks=0)
         return page
 
-    def _move_space_time(self, frame: int) -> None:
+    def _move_space_time(self) -> None:
         times, parts = self.session.run.window(_LONG)
         unit = self.session.run.unit
         columns = np.full((self.session.n, _COLUMNS), np.nan, np.float32)
@@ -183,7 +185,7 @@ class Pictures:
             at = np.searchsorted(times, wanted)
             known = wanted >= times[0]
             columns[:, known] = parts[0][np.minimum(at, len(times) - 1)].T[:, known]
-        self.image.data = {"image": [columns], "frame": [frame]}
+        self.image.data = {"image": [columns]}
 
     # Phase portrait ------------------------------------------------------------------------------
     def _phase(self) -> Any:
@@ -208,19 +210,20 @@ class Pictures:
         return page
 
     def _move_phase(self) -> None:
-        mass = self.session.mass
+        mass, run = self.session.mass, self.session.run
         for k, (orbit, point) in enumerate(zip(self.orbits, self.points, strict=True)):
             if k >= len(self.session.runs):
-                orbit.data, point.data = {"x": [], "y": []}, {"x": [], "y": [], "color": []}
+                if len(orbit.data["x"]):
+                    orbit.data, point.data = {"x": [], "y": []}, {"x": [], "y": [], "color": []}
                 continue
-            run = self.session.runs[k]
-            _, parts = run.window(WINDOW)
+            shown = self.session.runs[k]
+            _, parts = shown.window(WINDOW)
             orbit.data = {"x": parts[0, :, mass].copy(), "y": parts[1, :, mass].copy()}
             x, y = parts[:2, -1, mass] if parts.shape[1] else (np.nan, np.nan)
-            colour = ORANGE if run.sticks[mass] else _RUNS[k]["color"]
+            colour = ORANGE if shown.sticks[mass] else _RUNS[k]["color"]
             point.data = {"x": [x], "y": [y], "color": [colour]}
-        if self.session.model.frictional:
-            self.belt_line.location = self.belt_label.y = self.session.run.belt_speed
+        if self.session.model.frictional and self.belt_line.location != run.belt_speed:
+            self.belt_line.location = self.belt_label.y = run.belt_speed
 
     # Amplitudes ----------------------------------------------------------------------------------
     def _amplitudes(self) -> Any:
@@ -367,7 +370,9 @@ class Pictures:
         self._rescale()
         self._move_chain()
         self._move_phase()
-        self._move_space_time(frame)
+        if frame % _SCROLLS == 0:
+            self._move_space_time()
+        self.chain.tags = [frame]
 
     def count(self, numbers: list[Numbers]) -> None:
         """Shows amplitudes and energy of every run."""
@@ -377,7 +382,7 @@ class Pictures:
 
 def _broken(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows of points as one line with gaps."""
-    gap = np.full((len(x), 1), np.nan)
+    gap, y = np.full((len(x), 1), np.nan), np.broadcast_to(y, x.shape)
     return tuple(np.concatenate([part, gap], axis=1).ravel() for part in (x, y))
 
 

@@ -149,6 +149,7 @@ def _serve() -> None:
     """Answers requests of `Searcher` until it closes the pipe."""
     out = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # what is printed is no answer
+    os.nice(10)  # pictures come first
     configure(cache=True)
 
     def send(*message: Any) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import importlib.util
+import logging
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -106,6 +107,8 @@ def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> 
     from .searches import Searcher
     from .session import Session
 
+    # A tab that is closed while a picture is on its way is nothing to warn of.
+    logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
     searcher = Searcher()
 
     def of_visitor() -> Any:
