@@ -7,6 +7,7 @@ import io
 import threading
 import time
 from collections.abc import Callable
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import panel as pn
 from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, NumericInput
 from bokeh.models import Slider as BokehSlider
+from bokeh.models import Toggle as BokehToggle
 
 from . import searches, takeaway
 from .pictures import Pictures, plain
@@ -25,54 +27,13 @@ FRAME, NUMBERS_EVERY, IN_FLIGHT = 40, 5, 2
 _QUIET, _BARS = 1.0, 6.0
 _LOST = 1.0  # seconds after which a picture counts as lost
 _SPEEDS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 400]
-_STYLE = """
-:host { flex-wrap: wrap; align-items: flex-start !important }
-.controls { flex: 0 0 262px; max-height: calc(100vh - 12px); overflow-y: auto }
-.pictures { flex: 1 1 320px; min-width: 0 }
-@media (max-width: 720px) {
-  .controls { order: 2; flex: 1 1 100%; max-height: none }
-  .pictures { flex: 1 1 100% }
-}
-"""
-_GRID = """
-:host { display: grid !important; gap: 2px;
-        grid-template-columns: repeat(auto-fit, minmax(min(100%, 420px), 1fr)) }
-:host > * { width: 100% !important; min-width: 0 }
-"""
-_NUMBERS = """
-dl { display: flex; flex-wrap: wrap; gap: 0 18px; margin: 0; font-size: 12.5px; min-height: 36px }
-dt { font-weight: 600; display: inline; margin-right: 5px } dd { display: inline; margin: 0 }
-"""
 _ACKNOWLEDGE = "const now = cb_obj.tags; requestAnimationFrame(() => { ack.tags = now })"
-# One motion is repeated without a seam: whole turns of the velocity, at the frequency wanted.
-_SOUND = """
-if (!on.value) { if (window.squeal) window.squeal.close(); window.squeal = null; return }
-const v = Float32Array.from(wave.get_column('v')), rate = wave.get_column('rate')[0] * base.value
-if (v.length < 8 || !(rate > 0)) return
-const audio = window.squeal ??= new AudioContext()
-const buffer = audio.createBuffer(1, v.length, 44100), source = audio.createBufferSource()
-buffer.copyToChannel(v, 0)
-source.buffer = buffer; source.loop = true; source.playbackRate.value = rate / 44100
-const gain = audio.createGain(), now = audio.currentTime
-gain.gain.setValueAtTime(0, now); gain.gain.linearRampToValueAtTime(0.2, now + 0.05)
-gain.gain.setValueAtTime(0.2, now + 0.45); gain.gain.linearRampToValueAtTime(0, now + 0.55)
-source.connect(gain).connect(audio.destination); source.start(now); source.stop(now + 0.6)
-"""
-# All pictures below each other, as they are.
-_PNG = """
-const shots = []
-for (const view of Object.values(Bokeh.index).flatMap(function all(view) {
-    return [...(view.model.type == "Figure" ? [view] : []),
-            ...(view.child_views ?? []).flatMap(all)]})) shots.push(view.export("png").canvas)
-const page = document.createElement("canvas"), pen = page.getContext("2d")
-page.width = Math.max(...shots.map(s => s.width))
-page.height = shots.reduce((sum, s) => sum + s.height, 0)
-pen.fillStyle = "white"; pen.fillRect(0, 0, page.width, page.height)
-let y = 0
-for (const shot of shots) { pen.drawImage(shot, 0, y); y += shot.height }
-const link = document.createElement("a")
-link.download = "explorer.png"; link.href = page.toDataURL("image/png"); link.click()
-"""
+_SILENCE = "if (!on.active && window.squeal) { window.squeal.close(); window.squeal = null }"
+
+
+def _asset(name: str) -> str:
+    """The text of a file beside this one."""
+    return (resources.files("jaxchain.explorer") / name).read_text(encoding="utf-8")
 
 
 class Page:
@@ -86,7 +47,8 @@ class Page:
         self, session: Session, stored: dict[str, Any], searcher: Any, query: dict[str, str]
     ) -> None:
         self.session, self.searcher = session, searcher
-        self.said, self.doc = "", pn.state.curdoc
+        self.said = ""
+        self.doc: Any = pn.state.curdoc
         try:
             takeaway.follow_link(session, query)
         except ValueError as error:
@@ -98,9 +60,9 @@ class Page:
         self.changed, self.cancelled = time.monotonic(), threading.Event()
         self.ack = ColumnDataSource(tags=[0])
         self.ack.on_change("tags", self._acknowledged)
-        told = CustomJS(args={"ack": self.ack}, code=_ACKNOWLEDGE)
-        self.pictures.chain.js_on_change("tags", told)
         self.wave = ColumnDataSource({"v": [], "rate": []})
+        told = CustomJS(args={"ack": self.ack, "wave": self.wave}, code=_ACKNOWLEDGE)
+        self.pictures.chain.js_on_change("tags", told)
         self._make_widgets()
         if session.axis is not None:
             self._choose_axis(session.axis)
@@ -153,16 +115,19 @@ class Page:
         self.follow = button("Follow it", self._follow)
         self.cancel = button("Cancel", self._cancel)
         self.follow.disabled = self.cancel.disabled = True
-        self.sound = make.Toggle(name="Sound", **small)
-        self.base = make.IntSlider(
-            name="base frequency (Hz)", value=220, start=55, end=880, step=5, **small
-        )
+        self.sound = BokehToggle(label="Sound", sizing_mode="stretch_width")
+        base = BokehSlider(
+            title="base frequency (Hz)", value=220, start=55, end=880, step=5,
+            sizing_mode="stretch_width",
+        )  # fmt: skip
+        self.sounding = column(self.sound, base, sizing_mode="stretch_width")
+        hear = CustomJS(args={"on": self.sound, "base": base}, code=_asset("sound.js"))
+        self.wave.js_on_change("data", hear)
+        self.sound.js_on_change("active", CustomJS(args=hear.args, code=_SILENCE))
         self.all_masses = make.Checkbox(name="of all masses", **small)
-        hear = CustomJS(args={"wave": self.wave}, code=_SOUND)
-        self.hear = hear
         self.link = button("Link", self._link)
         self.png = make.Button(name="PNG", **small)
-        self.png.js_on_click(code=_PNG)
+        self.png.js_on_click(code=_asset("png.js"))
         self.files = [
             self._file("Program", "explored.py", takeaway.snippet),
             self._file("Scene file", "explored.toml", takeaway.scene),
@@ -171,7 +136,10 @@ class Page:
         self.message = pn.pane.HTML("", margin=(0, 6), sizing_mode="stretch_width")
         self.progress = pn.pane.HTML("", margin=(0, 6), sizing_mode="stretch_width")
         self.numbers = pn.pane.HTML(
-            "Starts ...", stylesheets=[_NUMBERS], margin=(0, 6), sizing_mode="stretch_width"
+            "Starts ...",
+            stylesheets=[_asset("numbers.css")],
+            margin=(0, 6),
+            sizing_mode="stretch_width",
         )
 
     def _slider(self, slider: Any) -> tuple[Any, Any]:
@@ -233,11 +201,9 @@ class Page:
             titled("Parameters", pn.pane.Bokeh(knobs, **stretch)),
             titled("Start", self.start, self.excited, self.typed, self.restart),
             titled("Shown", self.shown, self.strength, self.axis, self.beside),
-            titled(
-                "Cycle", self.find, pn.Row(self.follow, self.cancel, **stretch), self.progress
-            ),
+            titled("Cycle", self.find, pn.Row(self.follow, self.cancel, **stretch), self.progress),
             titled("Take away", pn.Row(self.link, self.png, **stretch), *self.files),
-            titled("Sound", self.sound, self.base, self.all_masses, collapsed=True),
+            titled("Sound", pn.pane.Bokeh(self.sounding), self.all_masses, collapsed=True),
             css_classes=["controls"],
         )
         main = pn.Column(
@@ -247,11 +213,11 @@ class Page:
             pn.Column(
                 *map(pn.pane.Bokeh, (pictures.space_time, pictures.phase)),
                 *map(pn.pane.Bokeh, (pictures.amplitudes, pictures.diagram)),
-                stylesheets=[_GRID], **stretch,
+                stylesheets=[_asset("pictures.css")], **stretch,
             ),
             css_classes=["pictures"], **stretch,
         )  # fmt: skip
-        return pn.Row(controls, main, stylesheets=[_STYLE], **stretch)
+        return pn.Row(controls, main, stylesheets=[_asset("layout.css")], **stretch)
 
     # What the visitor does -----------------------------------------------------------------------
     def _doing(self, action: Callable[..., Any], *arguments: Any) -> None:
@@ -297,7 +263,8 @@ class Page:
 
     def _link(self) -> None:
         if pn.state.location is not None:
-            pn.state.location.update_query(**takeaway.link(self.session))
+            query: Any = takeaway.link(self.session)
+            pn.state.location.update_query(**query)
             self._say("The address of this page is the link.")
 
     # Searches ------------------------------------------------------------------------------------
@@ -321,7 +288,9 @@ class Page:
 
         self._in_thread(ended, task, *arguments, report=report, cancelled=self.cancelled)
 
-    def _in_thread(self, ended: Callable[..., Any], task: Any, *arguments: Any, **how: Any) -> None:
+    def _in_thread(
+        self, ended: Callable[..., Any], task: Any, *arguments: Any, **how: Any
+    ) -> None:
         def work() -> None:
             answer, problem = None, None
             try:
@@ -337,7 +306,9 @@ class Page:
 
     def _find(self) -> None:
         run = self.session.run
-        self._search(self._show_cycle, searches.cycle, run.model, run.state, run.t, self.session.mass)
+        self._search(
+            self._show_cycle, searches.cycle, run.model, run.state, run.t, self.session.mass
+        )
 
     def _show_cycle(self, found: Any) -> None:
         self.found = found
@@ -425,7 +396,7 @@ class Page:
             self.pictures.count(numbers)
             self.numbers.object = self._numbers(numbers)
             self._ask_for_limits()
-            if self.sound.value:
+            if self.sound.active:
                 self._sound()
         self.pictures.move(self.frame)
 

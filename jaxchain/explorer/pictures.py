@@ -41,8 +41,10 @@ _STROKES = np.array([[[0.0, 0.6], [0.0, 1.0], [0.4, 1.0]], [[0.4, 1.0], [0.0, 1.
 # Of the run, and of the one beside it.
 _RUNS: Any = ({"color": BLUE}, {"color": VERMILION, "line_dash": "dashed"})
 _ROW = 2.6  # the distance of two chains
-_SIGNS = (("omega_n", "ωₙ"), ("x0", "x₀"), ("x_n", "xₙ"), ("v_n", "vₙ"), ("mu_", "μ_"), ("xi", "ξ"))
-_GREEK = (("eta_c", "η_c"), ("epsilon", "ε"))
+_SIGNS = {
+    "omega_n": "ωₙ", "x0": "x₀", "x_n": "xₙ", "v_n": "vₙ", "mu_": "μ_", "xi": "ξ", "eta_c": "η_c",
+    "epsilon": "ε",
+}  # fmt: skip
 
 
 def plain(text: str) -> str:
@@ -51,7 +53,7 @@ def plain(text: str) -> str:
     >>> plain("x0 omega_n")
     'x₀ ωₙ'
     """
-    for word, sign in (*_SIGNS, *_GREEK):
+    for word, sign in _SIGNS.items():
         text = text.replace(word, sign)
     return text
 
@@ -107,7 +109,7 @@ class Pictures:
         session, n = self.session, self.session.n
         page = _figure(
             "Chain on its belt: click a mass to kick it", 150, "", "",
-            x_range=Range1d(0.3, n + 0.7), y_range=Range1d(-0.7, 1.15),
+            x_range=Range1d(start=0.3, end=n + 0.7), y_range=Range1d(start=-0.7, end=1.15),
         )  # fmt: skip
         page.yaxis.visible = False
         page.xaxis.ticker = FixedTicker(ticks=list(range(1, n + 1, max(1, n // 20))))
@@ -143,10 +145,14 @@ class Pictures:
             lines.append(_broken(zigzag[: n * coupled], 0.5 + _SPRING - _ROW * k))
             # Strokes through a mass that sticks, besides its colour.
             strokes = (middle[run.sticks] - half)[:, None, None] + 2 * half * _STROKES[0]
-            lines.append(_broken(strokes.reshape(-1, 2), np.tile(_STROKES[1], (len(strokes), 1)) - _ROW * k))
+            lines.append(
+                _broken(strokes.reshape(-1, 2), np.tile(_STROKES[1], (len(strokes), 1)) - _ROW * k)
+            )
             if run.model.frictional:
                 start = 0.3 + (scale * run.way) % 0.5 + 0.5 * np.arange(int(2 * (n + 0.4)))
-                marks.append(_broken(start[:, None] + [0.0, 0.12], np.array([-0.45, 0.0]) - _ROW * k))
+                marks.append(
+                    _broken(start[:, None] + [0.0, 0.12], np.array([-0.45, 0.0]) - _ROW * k)
+                )
         sticks = np.concatenate([run.sticks for run in runs])
         row, x = np.concatenate(rows), np.concatenate(left)
         for blocks, which in zip(self.blocks, (~sticks, sticks), strict=True):
@@ -159,9 +165,10 @@ class Pictures:
         n = self.session.n
         page = _figure(
             "Space and time", 235, f"time before now ({plain(self.session.model.time_unit)})",
-            "oscillator n", x_range=Range1d(-_LONG, 0), y_range=Range1d(0.5, n + 0.5),
+            "oscillator n", x_range=Range1d(start=-_LONG, end=0),
+            y_range=Range1d(start=0.5, end=n + 0.5),
         )  # fmt: skip
-        self.colours = LinearColorMapper(_SHADES, low=-1, high=1, nan_color="#ffffff")
+        self.colours = LinearColorMapper(palette=_SHADES, low=-1, high=1, nan_color="#ffffff")
         self.image = _source("image")
         page.image(
             "image", source=self.image, x=-_LONG, y=0.5, dw=_LONG, dh=n, color_mapper=self.colours
@@ -189,8 +196,8 @@ class Pictures:
 
     # Phase portrait ------------------------------------------------------------------------------
     def _phase(self) -> Any:
-        page = _figure("Phase portrait", 235, *self.names, x_range=Range1d(-1, 1))
-        page.y_range = Range1d(-1, 1)
+        page = _figure("Phase portrait", 235, *self.names, x_range=Range1d(start=-1, end=1))
+        page.y_range = Range1d(start=-1, end=1)
         self.orbits, self.points = [], []
         for look, marker in zip(_RUNS, ("circle", "square"), strict=True):
             self.orbits.append(_source("x", "y"))
@@ -230,8 +237,8 @@ class Pictures:
         n = self.session.n
         page = _figure(
             "Amplitudes of the last 20 time units", 235, "oscillator n",
-            f"amplitude A of {self.names[0]}", x_range=Range1d(0.3, n + 0.7),
-            y_range=Range1d(0, 1),
+            f"amplitude A of {self.names[0]}", x_range=Range1d(start=0.3, end=n + 0.7),
+            y_range=Range1d(start=0, end=1),
         )  # fmt: skip
         self.bars, self.others = _source("n", "top", "color"), _source("n", "top")
         page.vbar("n", 0.7, "top", source=self.bars, color="color", line_color="black")
@@ -265,8 +272,8 @@ class Pictures:
     # Bifurcation diagram -------------------------------------------------------------------------
     def _diagram(self) -> Any:
         page = _figure(
-            "Bifurcation diagram", 235, "", "energy E = ½ Σ A²", x_range=Range1d(0, 1),
-            y_range=Range1d(0, 1),
+            "Bifurcation diagram", 235, "", "energy E = ½ Σ A²", x_range=Range1d(start=0, end=1),
+            y_range=Range1d(start=0, end=1),
         )  # fmt: skip
         self.store, self.trail = _source("x", "y"), _source("x", "y")
         self.here, self.there = _source("x", "y"), _source("x", "y")
@@ -383,7 +390,7 @@ class Pictures:
 def _broken(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows of points as one line with gaps."""
     gap, y = np.full((len(x), 1), np.nan), np.broadcast_to(y, x.shape)
-    return tuple(np.concatenate([part, gap], axis=1).ravel() for part in (x, y))
+    return np.append(x, gap, axis=1).ravel(), np.append(y, gap, axis=1).ravel()
 
 
 def _joined(lines: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import importlib.util
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from .._types import Given, StateLike
 
@@ -76,6 +80,67 @@ def explore(
 
     state = as_state(as_model(model), state, "state")
     return serve(lambda: (model, state, {}), port, address, show)
+
+
+def explored(
+    scene: str | None, experiment: str | None, overrides: Sequence[str], custom: Any = None
+) -> Explored:
+    """An experiment of a scene, at the middle of its sweep; None: a ring of twenty.
+
+    Of a folder of results also its sweeps, smoothed and dry, for the bifurcation diagram.
+
+    **Raises:** `SceneError` for a scene that cannot be run or has no such experiment.
+    """
+    if scene is None:
+        from ..model.chain import paper_chain
+        from ..model.initial_states import equation_8
+
+        chain = paper_chain(20, 1.5)
+        return chain, equation_8(chain, 5), {}
+    from ..scenes.building import Custom, build
+    from ..scenes.files import SceneError
+    from ..scenes.scene import load_scene
+
+    loaded = load_scene(scene, overrides)
+    known = loaded.scene.experiment
+    name = [*known][-1] if experiment is None else experiment
+    if name not in known:
+        raise SceneError(scene, [f"has no experiment `{name}`; it has: {', '.join(known)}"])
+    one = loaded.scene.model_copy(update={"experiment": {name: known[name]}})
+    built = build(dataclasses.replace(loaded, scene=one), custom or Custom())[name]
+    grid = {key: values[len(values) // 2] for key, values in known[name].grid().items()}
+    numbers = {key: float(value) for key, value in grid.items() if built.model.has_parameter(key)}
+    model = built.model.with_(**numbers)
+    if known[name].numerics.model == "dry":
+        model = model.with_(width=None)
+    start = {key: value for key, value in grid.items() if key not in numbers}
+    return (
+        model,
+        built.initial(model, **start),
+        _stored(Path(scene), loaded.name, name, [*numbers]),
+    )
+
+
+def _stored(folder: Path, scene: str, name: str, axes: list[str]) -> dict[str, Any]:
+    """Stored energies over each swept parameter, of a folder of results."""
+    if not (folder / f"{scene}.zarr").is_dir():
+        return {}
+    from ..plotting import diagram
+    from ..plotting.groups import DRY
+    from ..scenes.folder import saved
+
+    groups = saved(folder / f"{scene}.zarr")
+    found: dict[str, Any] = {}
+    for data in (groups[key] for key in (name, name + DRY) if key in groups):
+        energy: Any = diagram.energy(data)
+        if energy is None:
+            continue
+        for axis in axes:
+            values = data[axis].broadcast_like(energy), energy
+            parts = [np.asarray(part.values, float).ravel() for part in values]
+            before = found.get(axis, ([], []))
+            found[axis] = tuple(np.append(a, b) for a, b in zip(before, parts, strict=True))
+    return found
 
 
 def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> Explorer:

@@ -6,6 +6,7 @@ so that a change of a parameter compiles nothing and keeps the state.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -176,7 +177,9 @@ class Slider:
 
     def __post_init__(self) -> None:
         nice = 10.0 ** np.floor(np.log10((self.high - self.low) / 100))
-        self.step = float(nice * min((1, 2, 5), key=lambda k: abs(300 * k * nice - (self.high - self.low))))
+        self.step = float(
+            nice * min((1, 2, 5), key=lambda k: abs(300 * k * nice - (self.high - self.low)))
+        )
 
 
 class Session:
@@ -350,8 +353,8 @@ class Session:
             vibrating = np.asarray(active(jnp.asarray(amplitude), known.belt_speed))
         edges = np.searchsorted(times, run.t - span * run.unit * np.arange(WINDOWS, -1, -1))
         if len(times) and times[0] <= run.t - (WINDOWS - 0.05) * span * run.unit:
-            cut = zip(edges[:-1], edges[1:], strict=True)
-            windows = [run.extremes(times[a:b], parts[:, a:b])[0] for a, b in cut]
+            cuts = itertools.pairwise(edges)
+            windows = [run.extremes(times[a:b], parts[:, a:b])[0] for a, b in cuts]
             regular = bool(settled(jnp.asarray(np.stack(windows)), SETTLED))
         return Numbers(
             amplitude, float(energy(jnp.asarray(amplitude))), vibrating,

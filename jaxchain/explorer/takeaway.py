@@ -63,7 +63,7 @@ def _source(value: Any, imports: set[str]) -> str:
             "own code, and take the state and the parameters from the link."
         )
     own = kind.__module__.partition(".")[0] != jaxchain.__name__
-    home = jaxchain.__name__ if kind.__name__ in jaxchain.__all__ else kind.__module__
+    home = jaxchain.__name__ if kind.__name__ in dir(jaxchain) else kind.__module__
     imports.add(f"from {kind.__module__ if own else home} import {kind.__name__}")
     parts = (f"{name}={_source(part, imports)}" for name, part in _arguments(value).items())
     return f"{kind.__name__}({', '.join(parts)})"
@@ -123,7 +123,7 @@ def _listed(part: Any) -> Any:
     return np.where(np.abs(part) < LEAST, 0.0, part).tolist()
 
 
-def _law(friction: AbstractFriction) -> dict[str, Any]:
+def _law(friction: Any) -> dict[str, Any]:
     """The table of a friction law."""
     names = {kind: name for name, kind in LAWS.items()}
     numbers = {k: np.asarray(v).tolist() for k, v in friction.parameters().items()}
