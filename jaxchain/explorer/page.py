@@ -23,8 +23,9 @@ from .session import Session
 
 # Milliseconds between frames; frames between numbers; pictures on their way to the browser.
 FRAME, NUMBERS_EVERY, IN_FLIGHT = 40, 5, 2
-# Seconds after which changed parameters ask for new boundaries, and for their error bars.
-_QUIET, _BARS = 1.0, 6.0
+# Seconds after which changed parameters ask for new boundaries, for their error bars, and after
+# a search for them again.
+_QUIET, _BARS, _AGAIN = 1.0, 6.0, 15.0
 _LOST = 1.0  # seconds after which a picture counts as lost
 _SPEEDS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 400]
 _ACKNOWLEDGE = "const now = cb_obj.tags; requestAnimationFrame(() => { ack.tags = now })"
@@ -348,10 +349,14 @@ class Page:
             self.asked = (*self.asked[:2], False)
             if isinstance(problem, ValueError):  # not for this kind of model
                 self.asked = numbers, True, False
+            if isinstance(problem, searches.CancelledError):  # for a search: again later
+                self.asked, self.changed = (None, None, False), time.monotonic() + _AGAIN
+                return
             self.limits = answer if new else {**(self.limits or {}), **(answer or {})}
             self.pictures.show_limits(self.limits)
 
-        self._in_thread(ended, searches.boundaries, self.session.model, bars)
+        task = searches.boundaries, self.session.model, bars
+        self._in_thread(ended, *task, background=True)
 
     # Frames --------------------------------------------------------------------------------------
     def _acknowledged(self, name: str, old: Any, new: list[int]) -> None:

@@ -40,7 +40,7 @@ _ALONG = np.array([0.0, 0.15, 0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.85, 1.0])
 _STROKES = np.array([[[0.0, 0.6], [0.0, 1.0], [0.4, 1.0]], [[0.4, 1.0], [0.0, 1.0], [0.0, 0.6]]])
 # Of the run, and of the one beside it.
 _RUNS: Any = ({"color": BLUE}, {"color": VERMILION, "line_dash": "dashed"})
-_ROW = 2.6  # the distance of two chains
+_ROW, _CHAIN = 2.6, "Chain on its belt"  # the distance of two chains
 _SIGNS = {
     "omega_n": "ωₙ", "x0": "x₀", "x_n": "xₙ", "v_n": "vₙ", "mu_": "μ_", "xi": "ξ", "eta_c": "η_c",
     "epsilon": "ε",
@@ -108,7 +108,7 @@ class Pictures:
     def _chain(self, kick: Any) -> Any:
         session, n = self.session, self.session.n
         page = _figure(
-            "Chain on its belt: click a mass to kick it", 150, "", "",
+            f"{_CHAIN}: click a mass to kick it", 150, "", "",
             x_range=Range1d(start=0.3, end=n + 0.7), y_range=Range1d(start=-0.7, end=1.15),
         )  # fmt: skip
         page.yaxis.visible = False
@@ -345,7 +345,9 @@ class Pictures:
         beside = [one.energy for one in numbers[1:]]
         self.there.data = {"x": [here] * len(beside), "y": beside}
         seen = [trail[:, 1], self.store.data["y"], self.stable.data["y"], beside]
-        high = 1.1 * max(float(np.nanmax(part)) for part in seen if len(part))
+        high = 1.1 * max(
+            (float(np.nanmax(y)) for y in seen if np.any(np.isfinite(y))), default=1.0
+        )
         now = self.diagram_page.y_range.end
         if high > now or high < 0.4 * now:
             self.diagram_page.y_range.update(start=-0.03 * high, end=max(high, 1e-6))
@@ -369,6 +371,9 @@ class Pictures:
         rows = len(self.session.runs)
         if self.chain.y_range.start != -0.7 - _ROW * (rows - 1):
             self.chain.y_range.start = -0.7 - _ROW * (rows - 1)
+            kinds = "dry, below smoothed" if run.model.dry else "smoothed, below dry"
+            also = f" (above {kinds})" if rows > 1 else ""
+            self.chain.title.text = f"{_CHAIN}{also}: click a mass to kick it"
             top = -_ROW * np.arange(rows)
             self.belt.data_source.data = {"top": top, "bottom": top - 0.45}
 

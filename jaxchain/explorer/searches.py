@@ -71,6 +71,7 @@ class Searcher:
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
         self._turn = threading.Lock()
+        self._background: threading.Event | None = None
 
     def run(
         self,
@@ -78,16 +79,22 @@ class Searcher:
         *arguments: Any,
         report: Callable[[str], Any] = lambda text: None,
         cancelled: threading.Event | None = None,
+        background: bool = False,
     ) -> Any:
         """The result of a task, or its error; `CancelledError` once `cancelled` is set.
+
+        A task in the `background` is cancelled for one that a visitor waits for.
 
         A model that the process cannot import, such as one of a notebook, is searched here.
         """
         report("waits for another search")
         cancelled = threading.Event() if cancelled is None else cancelled
+        if not background and self._background is not None:
+            self._background.set()
         while not self._turn.acquire(timeout=0.1):
             if cancelled.is_set():
                 raise CancelledError
+        self._background = cancelled if background else None
         try:
             report("starts")
             try:
@@ -108,6 +115,7 @@ class Searcher:
     ) -> tuple[str, Any]:
         """The last message that the process sends about a request."""
         if self._process is None or self._process.poll() is not None:
+            self.stop()
             paths = [path for path in sys.path if path]
             self._process = subprocess.Popen(
                 [sys.executable, "-m", __name__],
@@ -142,7 +150,7 @@ class Searcher:
         """Ends the process."""
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
+            self._process.communicate()  # closes both pipes
 
 
 def _serve() -> None:

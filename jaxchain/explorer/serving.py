@@ -172,8 +172,8 @@ def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> 
     from .searches import Searcher
     from .session import Session
 
-    # A tab that is closed while a picture is on its way is nothing to warn of.
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
+    logging.getLogger("asyncio").addFilter(_is_fault)
     searcher = Searcher()
 
     def of_visitor() -> Any:
@@ -188,6 +188,15 @@ def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> 
         [f"{host}:{port}", f"localhost:{port}"],
     )  # fmt: skip
     return Explorer(server, f"http://{host}:{port}/", searcher)
+
+
+def _is_fault(record: logging.LogRecord) -> bool:
+    """Whether a line of a log tells of a fault: not of a tab that was closed at the wrong time."""
+    from tornado.iostream import StreamClosedError
+    from tornado.websocket import WebSocketClosedError
+
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, StreamClosedError | WebSocketClosedError | BrokenPipeError)
 
 
 def _free_port(address: str, port: int) -> int:
