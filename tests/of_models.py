@@ -7,10 +7,12 @@ import jaxchain
 
 
 def functions_of_a_model() -> set[str]:
-    """Names of all public functions with an argument `chain` or `model`; pictures are left out."""
-    submodules = [getattr(jaxchain, name) for name in jaxchain.SUBMODULES if name != "plotting"]
+    """Names of all public functions with an argument `chain` or `model`, but those that show it."""
+    shows = ("plotting", "explorer")
+    submodules = [getattr(jaxchain, name) for name in jaxchain.SUBMODULES if name not in shows]
     public = [getattr(m, name) for m in (jaxchain, *submodules) for name in m.__all__]
     functions = [f for f in public if inspect.isfunction(f) or hasattr(f, "__wrapped__")]
+    functions = [f for f in functions if f.__module__.split(".")[1] not in shows]
     return {
         f.__name__
         for f in functions

@@ -58,7 +58,9 @@ class Page:
         self.frame = self.seen = self.count = self.sent = 0
         self.ready, self.limits, self.found = False, None, None
         self.asked: Any = (None, None, None)
-        self.changed, self.cancelled = time.monotonic(), threading.Event()
+        self.changed, self.gone = time.monotonic(), False
+        self.cancelled, self.behind = threading.Event(), threading.Event()
+        self.doc.on_session_destroyed(self._leave)
         self.ack = ColumnDataSource(tags=[0])
         self.ack.on_change("tags", self._acknowledged)
         self.wave = ColumnDataSource({"v": [], "rate": []})
@@ -275,7 +277,7 @@ class Page:
         self.cancel.disabled, self.cancelled = False, threading.Event()
 
         def report(text: str) -> None:
-            self.doc.add_next_tick_callback(lambda: self._report(text))
+            self._later(lambda: self._report(text))
 
         def ended(answer: Any, error: Exception | None) -> None:
             self.find.disabled, self.cancel.disabled = False, True
@@ -298,9 +300,21 @@ class Page:
                 answer = self.searcher.run(task, *arguments, **how)
             except (ValueError, RuntimeError, searches.CancelledError) as error:
                 problem = error
-            self.doc.add_next_tick_callback(lambda: ended(answer, problem))
+            self._later(lambda: ended(answer, problem))
 
         threading.Thread(target=work, daemon=True).start()
+
+    def _later(self, action: Callable[[], Any]) -> None:
+        """Does it on the thread that serves, while the visitor is there."""
+        if not self.gone:
+            self.doc.add_next_tick_callback(action)
+
+    def _leave(self, context: Any) -> None:
+        """The visitor has left: his searches end."""
+        del context
+        self.gone = True
+        self.cancelled.set()
+        self.behind.set()
 
     def _report(self, text: str) -> None:
         self.progress.object = html.escape(text)
@@ -356,7 +370,8 @@ class Page:
             self.pictures.show_limits(self.limits)
 
         task = searches.boundaries, self.session.model, bars
-        self._in_thread(ended, *task, background=True)
+        self.behind = threading.Event()
+        self._in_thread(ended, *task, background=True, cancelled=self.behind)
 
     # Frames --------------------------------------------------------------------------------------
     def _acknowledged(self, name: str, old: Any, new: list[int]) -> None:

@@ -350,7 +350,7 @@ class Pictures:
         )
         now = self.diagram_page.y_range.end
         if high > now or high < 0.4 * now:
-            self.diagram_page.y_range.update(start=-0.03 * high, end=max(high, 1e-6))
+            self.diagram_page.y_range.update(start=-0.03 * high, end=high)
 
     # All ----------------------------------------------------------------------------------------
     def _rescale(self) -> None:

@@ -53,7 +53,7 @@ def test_what_cannot_be_is_refused_before_anything_starts(capsys, chains):
         assert main(["explore", "--port", str(port), "--no-browser"]) == 2
     assert f"`port` = {port} cannot be used" in capsys.readouterr().err
     with pytest.raises(ValueError, match="must be the pair"):
-        explore(chains[1, 1e-2], 3)
+        explore(chains[1, 1e-2], 3)  # pyright: ignore[reportArgumentType]
 
 
 def test_the_command_and_the_package_do_not_load_panel():

@@ -80,7 +80,7 @@ def test_what_cannot_be_is_refused_in_the_librarys_words_and_changes_nothing(ses
     with pytest.raises(ValueError, match="friction at rest exceeds friction in motion"):
         session.change(belt_speed=1.0, mu_static=0.1)
     assert session.model is before
-    with pytest.raises(ValueError, match="must lie in 0 ... 3, but is 4"):
+    with pytest.raises(ValueError, match=r"must lie in 0 \.\.\. 3, but is 4"):
         session.restart_from("eq. (8)", 4)
 
 
