@@ -14,13 +14,14 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, Playwright, ViewportSize, sync_playwright
 
 FOLDER = Path(__file__).parents[1] / "examples"
-SIZE = {"width": 1100, "height": 660}
-SHARE, COLOURS, FRAME = 0.68, 48, 110  # of the size; of the palette; milliseconds
-SPEEDS = [*np.arange(1.3, 1.9, 0.05), *np.arange(1.9, 1.04, -0.05)]
-FIND = '[...Bokeh.documents[0]._all_models.values()].find(one => one.type == "{}" && {})'
+SIZE: ViewportSize = {"width": 1366, "height": 672}
+SHARE, COLOURS, FRAME = 0.62, 96, 110  # of the size; of the palette; milliseconds
+SPEEDS = [*np.arange(1.3, 1.9, 0.05), *np.arange(1.9, 1.04, -0.05), 1.0, 0.98, 0.96]
+FIND = "[...(Bokeh.documents[0]?._all_models.values() ?? [])].find("
+FIND += 'one => one.type == "{}" && {})'
 DRAWN = FIND.format("Figure", "one.tags[0] > 3")
 BELT = FIND.format("Slider", 'one.title.startsWith("belt speed")')
 SPEED = FIND.format("Slider", 'one.title == ""')
@@ -49,32 +50,39 @@ def film(tab: Page) -> list[Image.Image]:
     return shots
 
 
+def pictures(tool: Playwright, url: str) -> list[Image.Image]:
+    """The frames of the film; the picture of the page is written."""
+    own = shutil.which("chromium") or shutil.which("google-chrome")
+    browser = tool.chromium.launch(executable_path=own, args=["--no-sandbox", "--disable-gpu"])
+    tab = browser.new_page(viewport=SIZE)
+    tab.goto(url)
+    tab.wait_for_function(DRAWN, timeout=120_000)
+    shots = film(tab)
+    tab.close()
+    page = browser.new_page(viewport={"width": 1366, "height": 700})
+    page.goto(url)
+    page.wait_for_function(DRAWN, timeout=120_000)
+    page.get_by_text("Fold speed").wait_for(timeout=300_000)
+    page.wait_for_timeout(8000)
+    shot(page).save(FOLDER / "explorer.png", optimize=True)
+    browser.close()
+    return shots
+
+
 def main() -> None:
     """Starts the explorer, films it, and writes both pictures."""
     command = [sys.executable, "-m", "jaxchain", "explore", "--no-browser"]
-    with (
-        subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process,
-        sync_playwright() as tool,
-    ):
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
         assert process.stdout is not None
         found = re.search(r"http://\S+/", process.stdout.readline())
         assert found is not None
-        own = shutil.which("chromium") or shutil.which("google-chrome")
-        browser = tool.chromium.launch(executable_path=own, args=["--no-sandbox"])
-        tab = browser.new_page(viewport=SIZE)  # pyright: ignore[reportArgumentType]
-        tab.goto(found[0])
-        tab.wait_for_function(DRAWN, timeout=120_000)
-        shots = film(tab)
-        laptop = browser.new_page(viewport={"width": 1366, "height": 700})
-        laptop.goto(found[0])
-        laptop.wait_for_function(DRAWN, timeout=120_000)
-        laptop.get_by_text("Fold speed").wait_for(timeout=300_000)
-        laptop.wait_for_timeout(8000)
-        shot(laptop).quantize(128).save(FOLDER / "explorer.png", optimize=True)
-        browser.close()
+        with sync_playwright() as tool:
+            shots = pictures(tool, found[0])
+    finally:
         process.terminate()
     small = [one.resize((round(one.width * SHARE), round(one.height * SHARE))) for one in shots]
-    palette = small[len(small) // 2].quantize(COLOURS)
+    palette = small[0].quantize(COLOURS)
     frames = [one.quantize(palette=palette, dither=Image.Dither.NONE) for one in small]
     file = FOLDER / "explorer.gif"
     how = {"save_all": True, "append_images": frames[1:], "duration": FRAME, "loop": 0}

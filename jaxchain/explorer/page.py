@@ -22,7 +22,7 @@ from .pictures import Pictures, plain
 from .session import Session
 
 # Milliseconds between frames; frames between numbers; pictures on their way to the browser.
-FRAME, NUMBERS_EVERY, IN_FLIGHT = 40, 5, 2
+FRAME, NUMBERS_EVERY, IN_FLIGHT = 36, 5, 3
 # Seconds after which changed parameters ask for new boundaries, for their error bars, and after
 # a search for them again.
 _QUIET, _BARS, _AGAIN = 1.0, 6.0, 15.0
@@ -92,8 +92,7 @@ class Page:
         title = "speed (time units per second)"
         speed = make.DiscreteSlider(name=title, options=_SPEEDS, value=session.speed, **small)
         self.speed = watched(speed, lambda value: setattr(session, "speed", float(value)))
-        kinds = ["eq. (8)", "given", "random", "typed"]
-        self.start = make.Select(name="start", options=kinds, **small)
+        self.start = make.Select(name="start", options=session.starts, **small)
         self.excited = make.IntInput(
             name="masses excited", value=min(5, n), start=0, end=n, **small
         )

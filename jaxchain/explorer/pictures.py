@@ -292,7 +292,7 @@ class Pictures:
             line = Span(dimension="height", line_color=colour, line_dash="dashdot", visible=False)
             text = Label(
                 x=0, y=6 + 15 * k, y_units="screen", text=name.capitalize(), x_offset=3,
-                text_color=colour, text_font_size="11px", visible=False,
+                text_font_size="11px", visible=False,
             )  # fmt: skip
             page.add_layout(line)
             page.add_layout(text)

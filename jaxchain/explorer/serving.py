@@ -34,9 +34,18 @@ class Explorer:
 
     def stop(self) -> None:
         """Ends the server and its searches."""
-        self._server.stop()
-        self._searcher.stop()
-        self._ended.set()
+        # Tabs that are still open cut their connections: no fault.
+        logs = {name: logging.getLogger(name) for name in ("asyncio", "bokeh", "tornado")}
+        levels = {name: log.level for name, log in logs.items()}
+        for log in logs.values():
+            log.setLevel(logging.CRITICAL + 1)
+        try:
+            self._server.stop()
+            self._searcher.stop()
+        finally:
+            for name, log in logs.items():
+                log.setLevel(levels[name])
+            self._ended.set()
 
     def wait(self) -> None:
         """Returns when the explorer has been stopped; Ctrl-C stops it."""

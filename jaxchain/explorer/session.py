@@ -280,6 +280,15 @@ class Session:
         for run in self.runs:
             run.restart(state, t)
 
+    @property
+    def starts(self) -> list[str]:
+        """What `restart_from` takes for this model: eq. (8) is one of a chain."""
+        try:
+            equation_8(self.model, 0)
+        except ValueError:
+            return ["given", "random", "typed"]
+        return ["eq. (8)", "given", "random", "typed"]
+
     def restart_from(self, kind: str, excited: int = 1, typed: str = "") -> None:
         """Begins again: "eq. (8)" with `excited` masses, "given", "random", or a "typed" state."""
         if kind == "eq. (8)":

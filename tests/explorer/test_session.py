@@ -162,6 +162,10 @@ def test_every_model_runs_and_each_of_its_scalars_has_a_slider(name):
         session.change(**{slider.name: slider.low + 0.7 * (slider.high - slider.low)})
     session.advance(0.1)
     assert not session.failure
+    for start in session.starts:
+        session.restart_from(start, typed=";".join(["0.1"] * len(state)))
+        session.advance(0.1)
+        assert not session.failure
 
 
 def test_regular_is_known_after_four_windows(chains):
