@@ -107,7 +107,7 @@ class Page:
         )
         self.shown = watched(shown, lambda value: setattr(session, "mass", min(value, n) - 1))
         self.beside = watched(
-            make.Checkbox(name="dry and smoothed side by side", **small), session.beside
+            make.Checkbox(name="dry and smoothed side by side", **small), self._beside
         )
         self.beside.disabled = not session.model.frictional
         names = [slider.name for slider in session.sliders]
@@ -251,6 +251,11 @@ class Page:
         if self.ready:
             self.session.advance(length)
 
+    def _beside(self, on: bool) -> None:
+        self.session.beside(on)
+        self.ready = False  # until its program is there, off the thread that serves
+        self.warm()
+
     def _restart(self) -> None:
         self.session.restart_from(self.start.value, self.excited.value, self.typed.value)
         self.session.trail.clear()
@@ -382,9 +387,14 @@ class Page:
 
         def work() -> None:
             other = Session(self.session.model, self.session.start)
-            other.advance(1e-6)
-            other.numbers()
-            self.ready = True
+            try:
+                other.beside(len(self.session.runs) > 1)
+                other.advance(1e-6)
+                other.numbers()
+                self.ready = True
+            except (ValueError, RuntimeError) as error:
+                problem = str(error)
+                self._later(lambda: self._say(problem))
 
         threading.Thread(target=work, daemon=True).start()
 

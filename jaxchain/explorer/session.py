@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._checks import to_float
-from ..model.arguments import as_model, as_state
+from ..model.arguments import as_chain, as_model, as_state
 from ..model.initial_states import equation_8
 from ..model.model import AbstractModel, StateVariable
 from ..model.parameters import Parameter
@@ -284,7 +284,7 @@ class Session:
     def starts(self) -> list[str]:
         """What `restart_from` takes for this model: eq. (8) is one of a chain."""
         try:
-            equation_8(self.model, 0)
+            as_chain(self.model)
         except ValueError:
             return ["given", "random", "typed"]
         return ["eq. (8)", "given", "random", "typed"]
