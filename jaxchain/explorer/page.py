@@ -58,7 +58,7 @@ class Page:
         self.frame = self.seen = self.count = self.sent = 0
         self.ready, self.limits, self.found = False, None, None
         self.asked: Any = (None, None, None)
-        self.changed, self.gone = time.monotonic(), False
+        self.changed, self.gone, self.ticking = time.monotonic(), False, None
         self.cancelled, self.behind = threading.Event(), threading.Event()
         self.doc.on_session_destroyed(self._leave)
         self.ack = ColumnDataSource(tags=[0])
@@ -401,6 +401,8 @@ class Page:
     def tick(self) -> None:
         """Goes on by a frame, and shows it unless the browser is behind."""
         visitor = self.doc.session_context.session
+        if self.seen and not visitor.connection_count:  # the tab was closed
+            self.doc.remove_periodic_callback(self.ticking)
         if not self.ready or visitor is None or not visitor.connection_count:
             return
         for connection in visitor._subscribed_connections:
@@ -504,5 +506,5 @@ def visit(session: Session, stored: dict[str, Any], searcher: Any, query: dict[s
     page.warm()
     if page.said:
         page._say(page.said)
-    page.doc.add_periodic_callback(page.tick, FRAME)
+    page.ticking = page.doc.add_periodic_callback(page.tick, FRAME)
     return page.view

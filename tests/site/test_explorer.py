@@ -37,7 +37,7 @@ def served():
 def visit(open_tab, served, query="", **options):
     options = {"viewport": {"width": 1366, "height": 768}, **options}
     tab = open_tab(served, **options).tab
-    tab.goto(served + query)
+    tab.goto(served + query, timeout=120_000)
     tab.wait_for_function(MOVING.format(frame=3), timeout=120_000)
     return tab
 
