@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import html
 import io
 import threading
@@ -401,13 +402,15 @@ class Page:
     def tick(self) -> None:
         """Goes on by a frame, and shows it unless the browser is behind."""
         visitor = self.doc.session_context.session
-        if self.seen and not visitor.connection_count:  # the tab was closed
-            self.doc.remove_periodic_callback(self.ticking)
+        if self.ticking and self.seen and visitor and not visitor.connection_count:
+            ticking, self.ticking = self.ticking, None  # the tab was closed
+            self.doc.remove_periodic_callback(ticking)
         if not self.ready or visitor is None or not visitor.connection_count:
             return
-        for connection in visitor._subscribed_connections:
+        for connection in [*visitor._subscribed_connections]:
             # Or a message waits until the browser has confirmed the last one, for 40 ms.
-            connection._socket.set_nodelay(True)
+            with contextlib.suppress(OSError, AttributeError):  # of a tab that closes just now
+                connection._socket.set_nodelay(True)
         self.count += 1
         if self.play.value and not self.session.failure:
             self.session.advance(self.session.speed * FRAME * 1e-3)

@@ -283,8 +283,9 @@ def _draw_curves(
 def sticking(model: AbstractModel, states: Given[StateLike]) -> np.ndarray:
     """Which masses stick at each time, of shape (times, n).
 
-    `jaxchain.simulation.sticking.is_sticking` has the rule.  For states of a smoothed chain from
-    `EventDriven`, use `chain.with_(width=None)`.
+    With dry friction a mass sticks while v = v_d; with smoothed friction while |v - v_d| is below
+    the speed of greatest friction and the force on it, without friction, does not exceed p mu_st.
+    For states of a smoothed chain from `EventDriven`, use `chain.with_(width=None)`.
 
     **Arguments:** `model`: a `Chain`, or `MechanicalCells` with friction; `states`, (x, v), of
     cells all m arrays, each of shape (times, n).

@@ -15,9 +15,7 @@ from ..solvers.dry_friction import RESOLUTION
 def is_sticking(model: AbstractModel, t: ScalarLike, state: State) -> Bool[Array, " n"] | None:
     """Which masses stick at the time t, of shape (n,); None of a model whose masses cannot stick.
 
-    With dry friction a mass sticks while v = v_d, up to rounding; with smoothed friction while
-    |v - v_d| is below the speed of greatest friction and the force on it, without friction, does
-    not exceed p mu_st.
+    By the rule of `jaxchain.plotting.sticking`, which takes the states of many times.
 
     >>> import jax
     >>> jax.config.update("jax_enable_x64", True)
