@@ -17,6 +17,7 @@ The most-used names can be imported from `jaxchain`; the rest live in submodules
 - `inverse`: design and identification
 - `plotting`: figures, drawings, films
 - `scenes`: experiments as TOML files
+- `explorer`: a live run in the browser, with sliders, pictures and searches
 
 `help(jaxchain.boundaries)` lists the files and names of a submodule.  Names are imported on first
 use.
@@ -31,7 +32,7 @@ __version__ = "0.2.0"
 
 SUBMODULES = (
     "model", "continuation", "kinds", "observers", "solvers", "simulation", "sweeps", "cycles",
-    "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes",
+    "boundaries", "chaos", "localization", "basins", "inverse", "plotting", "scenes", "explorer",
 )  # fmt: skip
 
 _show, __dir__, _shown = lazy_loader.attach_stub(__name__, __file__)

@@ -3,6 +3,7 @@ from . import boundaries as boundaries
 from . import chaos as chaos
 from . import continuation as continuation
 from . import cycles as cycles
+from . import explorer as explorer
 from . import inverse as inverse
 from . import kinds as kinds
 from . import localization as localization
@@ -25,6 +26,7 @@ from .cycles.branches import continue_cycle as continue_cycle
 from .cycles.floquet import floquet_multipliers as floquet_multipliers
 from .cycles.floquet import monodromy_matrix as monodromy_matrix
 from .cycles.limit_cycle import find_limit_cycle as find_limit_cycle
+from .explorer.serving import explore as explore
 from .model.chain import Chain as Chain
 from .model.chain import paper_chain as paper_chain
 from .model.chain import steady_sliding as steady_sliding

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 # Of the command and of each subcommand: words after `jaxchain`, and what they do.
 _EXAMPLES = {
     "": (
+        ("explore", "turn knobs on a live run, in the browser"),
         ("run quickstart", "draw a first figure, in seconds"),
         ("scenes", "list the built-in scenes"),
         ("scenes quickstart", "print a scene file, to edit"),
@@ -50,6 +51,11 @@ _EXAMPLES = {
         ("run results/my", "the same again, into another folder"),
         ("run my.toml --workers 8", "in eight processes"),
         ("run my.toml --law my_law.py:MyLaw", "with your own friction law"),
+    ),
+    "explore": (
+        ("explore", "the paper's ring of twenty"),
+        ("explore quickstart --port 5007", "the model of a scene, at another port"),
+        ("explore --no-browser", "print the address only"),
     ),
     "resume": (
         ("resume results/my", "compute what is missing"),
@@ -224,8 +230,8 @@ def _parser() -> argparse.ArgumentParser:
     help_ = "name of a built-in scene, a TOML file, or a folder with results, to run again"
     run.add_argument("scene", help=help_)
     run.add_argument("--output", metavar="DIR", type=_folder, help="folder (results/SCENE)")
-    help_ = "change a key, e.g. experiment.ladder.chain.n=40 (repeatable)"
-    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=help_)
+    change = "change a key, e.g. experiment.ladder.chain.n=40 (repeatable)"
+    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=change)
     text = "Continue an interrupted run. Finished runs are kept, missing ones are computed."
     resume = add(_resume, text, _add_scene_options)
     resume.add_argument("folder", help="folder of results")
@@ -236,6 +242,17 @@ def _parser() -> argparse.ArgumentParser:
     scenes = add(_scenes, "List the built-in scenes.")
     scenes.add_argument("scene", nargs="?", help="print this scene file, to edit")
     scenes.add_argument("--schema", action="store_true", help="print the JSON schema, for editors")
+
+    text = "Explore a live run in the browser: sliders, pictures, cycles. Ctrl-C ends it."
+    explore = add(_explore, text, _add_custom_classes, _add_no_cache)
+    help_ = "a scene, as for `run`; a folder of results shows its sweeps (a ring of twenty)"
+    explore.add_argument("scene", nargs="?", help=help_)
+    explore.add_argument("--experiment", metavar="NAME", help="of the scene (the last one)")
+    explore.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], help=change)
+    explore.add_argument("--port", type=int, default=0, help="port to listen on (any free one)")
+    help_ = "address to listen on (127.0.0.1: this computer only)"
+    explore.add_argument("--address", default="127.0.0.1", help=help_)
+    explore.add_argument("--no-browser", action="store_true", help="print the address only")
 
     boundary = add(
         _boundary,
@@ -286,11 +303,8 @@ class _Completion(argparse.Action):
 
 def _add_scene_options(parser: argparse.ArgumentParser) -> None:
     """The options of `run` and of `resume`."""
+    _add_custom_classes(parser)
     custom: Any = {"metavar": "FILE.py:CLASS"}
-    help_ = "your friction law, a subclass of jaxchain.model.AbstractFrictionLaw; runs the file"
-    parser.add_argument("--law", help=help_, **custom)
-    help_ = "your model, a subclass of jaxchain.model.AbstractCells (repeatable)"
-    parser.add_argument("--model", action="append", default=[], help=help_, **custom)
     help_ = "your observer, a subclass of jaxchain.observers.AbstractObserver (repeatable)"
     parser.add_argument("--observer", action="append", default=[], help=help_, **custom)
     where = parser.add_mutually_exclusive_group()
@@ -302,6 +316,15 @@ def _add_scene_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--netcdf", action="store_true", help="also write SCENE.nc")
     parser.add_argument("--quiet", action="store_true", help="print errors only")
     _add_no_cache(parser)
+
+
+def _add_custom_classes(parser: argparse.ArgumentParser) -> None:
+    """Your own law and models."""
+    custom: Any = {"metavar": "FILE.py:CLASS"}
+    help_ = "your friction law, a subclass of jaxchain.model.AbstractFrictionLaw; runs the file"
+    parser.add_argument("--law", help=help_, **custom)
+    help_ = "your model, a subclass of jaxchain.model.AbstractCells (repeatable)"
+    parser.add_argument("--model", action="append", default=[], help=help_, **custom)
 
 
 def _add_no_cache(parser: argparse.ArgumentParser) -> None:
@@ -460,6 +483,28 @@ def _client(options: argparse.Namespace) -> contextlib.AbstractContextManager[An
 
 def _goes_on(folder: Path) -> str:
     return f"`{shlex.join(['jaxchain', 'resume', str(folder)])}` goes on with it"
+
+
+def _explore(options: argparse.Namespace) -> None:
+    from .explorer.serving import explored, serve
+
+    def make() -> Any:
+        _configure(options)
+        from .scenes.building import Custom, load_law, load_model
+
+        name = options.scene or "explore"
+        law = None if options.law is None else load_law(options.law, name)
+        kinds = [load_model(given, name) for given in options.model]
+        custom = Custom(law, {}, {kind.__name__: kind for kind in kinds})
+        return explored(options.scene, options.experiment, options.set, custom)
+
+    try:
+        explorer = serve(make, options.port, options.address, not options.no_browser)
+    except (ValueError, ImportError) as error:
+        raise _MisusedError(str(error)) from None
+    _print(f"exploring at {explorer.url} (Ctrl-C ends it)")
+    with contextlib.suppress(KeyboardInterrupt):
+        explorer.wait()
 
 
 def _status(options: argparse.Namespace) -> None:

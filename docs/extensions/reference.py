@@ -13,7 +13,7 @@ from sphinx.util.docutils import SphinxDirective
 import jaxchain
 from jaxchain.scenes import schema
 
-COMMANDS = ("", "run", "resume", "status", "report", "scenes", "boundary", "basins")
+COMMANDS = ("", "explore", "run", "resume", "status", "report", "scenes", "boundary", "basins")
 
 
 class Submodule(SphinxDirective):

@@ -1,6 +1,7 @@
 """Pictures of the model, of sweeps, branches and runs; films.
 
 - `branches`: a branch with its stability and its special points
+- `colours`: the colours of all figures
 - `diagram`: what a bifurcation diagram shows beside its points
 - `fits`: the profile likelihood of a fitted number
 - `groups`: which datasets of a scene are the same sweep, smoothed and dry

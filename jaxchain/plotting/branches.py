@@ -15,19 +15,8 @@ from ..boundaries.special_curves import SpecialCurve
 from ..continuation.branch import Branch
 from ..cycles.branches import CycleBranch
 from ..model.units import Scales
-from .style import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    RED,
-    SKY,
-    add_legend,
-    as_axes,
-    check_scales,
-    on_axes,
-    scaled,
-)
+from .colours import BLUE, GREEN, ORANGE, PURPLE, RED, SKY
+from .style import add_legend, as_axes, check_scales, on_axes, scaled
 
 DASHES: Any = (0, (3, 1.5))
 # The relative change of a variable that counts as constant.

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 
 from .._checks import check_kind
 from ..inverse import Profile
-from .style import BLUE, GREY, RED, on_axes
+from .colours import BLUE, GREY, RED
+from .style import on_axes
 
 
 def plot_profile(profile: Profile, name: Any, *, ax: Axes | None = None) -> Axes:

@@ -15,9 +15,8 @@ from matplotlib.ticker import MaxNLocator
 from .._checks import check_kind, shown
 from ..model.units import Scales
 from .branches import curve_datasets, draw_curves
+from .colours import GREY, RED
 from .style import (
-    GREY,
-    RED,
     add_colour_bar,
     add_legend,
     as_axes,

@@ -18,18 +18,8 @@ from ..model.chain import Chain, map_numbers, paper_chain
 from ..model.friction import AbstractFriction, TanhFriction
 from ..model.parameters import SPEED
 from ..model.units import Scales
-from .style import (
-    BLUE,
-    GREY,
-    ORANGE,
-    PAGE_WIDTH,
-    RED,
-    STYLE,
-    add_legend,
-    axis,
-    check_scales,
-    on_axes,
-)
+from .colours import BLUE, GREY, ORANGE, RED
+from .style import PAGE_WIDTH, STYLE, add_legend, axis, check_scales, on_axes
 
 HEIGHT = 2.45  # inches
 # The mechanism, in widths of a mass: pitch and height of the masses, rows of the links.

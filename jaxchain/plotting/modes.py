@@ -13,7 +13,8 @@ from scipy.interpolate import CubicHermiteSpline
 from .._checks import check_kind
 from ..boundaries.modes import ComplexModes
 from ..model.units import Scales
-from .style import COLUMN_WIDTH, GREY, SERIES, STYLE, as_axes, check_scales, scaled
+from .colours import GREY, SERIES
+from .style import COLUMN_WIDTH, STYLE, as_axes, check_scales, scaled
 
 # A growth rate relative to the greatest |lambda| that counts as zero.
 _ZERO = 1e-9

@@ -39,11 +39,9 @@ from ..observers.samples import Trajectory
 from ..observers.section import Section
 from ..simulation.method import Solver, custom_solver
 from ..simulation.run import Simulation, simulate
-from ..solvers.dry_friction import RESOLUTION
+from ..simulation.sticking import is_sticking
+from .colours import BLUE, GREY, ORANGE
 from .style import (
-    BLUE,
-    GREY,
-    ORANGE,
     PAGE_WIDTH,
     STYLE,
     add_colour_bar,
@@ -327,18 +325,12 @@ def sticking(model: AbstractModel, states: Given[StateLike]) -> np.ndarray:
             f"Argument `states` has parts of shapes {' and '.join(str(a.shape) for a in parts)}, "
             f"but all must have one shape, (times, {model.n or 'n'})."
         )
-    unit = known.natural_scales()[1]
-    rounding = RESOLUTION * (unit + jnp.abs(known.belt_speed)) if known.dry else 0.0
-    limit = known.stick_speed() + rounding
+    return np.asarray(_sticking(model, parts))
 
-    @eqx.filter_jit
-    def sticks_in(state: Any) -> Any:
-        layer: Any = model.layer(0.0, state)
-        left, right = model.neighbours(state)
-        excess = model.excess_force(0.0, left, state, right)
-        return (jnp.abs(layer[0]) <= limit) & (excess <= 0)
 
-    return np.asarray(jax.vmap(sticks_in)(parts))
+@eqx.filter_jit
+def _sticking(model: AbstractModel, states: Any) -> Any:
+    return jax.vmap(lambda state: is_sticking(model, 0.0, state))(states)
 
 
 def _sticks(model: Any, states: tuple[np.ndarray, ...]) -> np.ndarray | None:

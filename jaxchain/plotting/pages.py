@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from .._checks import as_array, check_kind
 from .branches import MARKS, plot_branch
+from .colours import BLUE, ORANGE, PURPLE, RED
 from .diagram import (
     energy,
     failed,
@@ -30,17 +31,7 @@ from .diagram import (
 )
 from .groups import Panel, panels
 from .states import draw_states, picture_names
-from .style import (
-    BLUE,
-    ORANGE,
-    PAGE_WIDTH,
-    PURPLE,
-    RED,
-    STYLE,
-    add_colour_bar,
-    add_legend,
-    shades,
-)
+from .style import PAGE_WIDTH, STYLE, add_colour_bar, add_legend, shades
 from .sweeps import MOST_SHADES, Series, draw_runs, draw_series, hue_of, named_values
 
 PANEL_HEIGHT = 2.9

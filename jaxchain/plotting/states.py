@@ -20,20 +20,12 @@ from matplotlib.figure import Figure
 from ..model.initial_states import reference_site
 from ..model.provenance import chain_of
 from ..observers.quantities import active, delays, mean_period
+from .colours import BLUE, GREY, VERMILION
 from .diagram import failed, parameters
 from .groups import Panel
 from .maps import plot_map
 from .motions import plot_phase_portrait, plot_time_series
-from .style import (
-    BLUE,
-    GREY,
-    PAGE_WIDTH,
-    STYLE,
-    VERMILION,
-    add_colour_bar,
-    add_legend,
-    shades,
-)
+from .style import PAGE_WIDTH, STYLE, add_colour_bar, add_legend, shades
 from .sweeps import plot_sweep
 
 DELAY = r"delay $\phi_n$ (1/$\omega_n$)"

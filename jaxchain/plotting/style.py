@@ -26,13 +26,9 @@ from matplotlib.figure import Figure
 from .._checks import check_kind
 from ..model.parameters import PARAMETERS
 from ..model.units import Scales
+from .colours import SERIES
 
 PAGE_WIDTH, COLUMN_WIDTH = 7.0, 3.35  # inches
-BLUE, ORANGE, GREY, RED = "#0072B2", "#E69F00", "#777777", "#C8102E"
-PURPLE, GREEN = "#CC79A7", "#009E73"
-SKY, VERMILION = "#56B4E9", "#D55E00"
-# Colours of individually distinguished series; neighbours differ most.
-SERIES = (BLUE, VERMILION, GREEN, PURPLE, SKY, "black", ORANGE)
 MARKERS = "osD^v<>P"
 STYLE: dict[Any, Any] = {
     "font.size": 8.0,

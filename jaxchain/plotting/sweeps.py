@@ -16,13 +16,11 @@ from .._checks import check_kind, shown
 from .._outcomes import WELL
 from ..model.units import Scales
 from ..result import NAMES
+from .colours import BLUE, GREY, RED
 from .diagram import masses, variable
 from .style import (
-    BLUE,
     COLUMN_WIDTH,
-    GREY,
     PAGE_WIDTH,
-    RED,
     STYLE,
     add_colour_bar,
     add_legend,

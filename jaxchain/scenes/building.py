@@ -240,6 +240,7 @@ class _Builder:
             return functools.partial(getattr(initial_states, table.kind), **start)
         how: Any = {"block": table.block, "pattern": table.pattern}
         given: Any = start.get("excited")
+        pulled, moved = (np.asarray(a, float) for a in (table.displacement, table.velocity))
         if masses is not None:
             chosen = self.index(masses, "initial.oscillators")
             given = jnp.asarray(np.isin(np.arange(self.n), chosen))
@@ -247,8 +248,8 @@ class _Builder:
         def pulled_away(
             chain: Chain,
             excited: Any = given,
-            displacement: Any = table.displacement,
-            velocity: Any = table.velocity,
+            displacement: Any = pulled,
+            velocity: Any = moved,
         ) -> State:
             return initial_states.excited_state(
                 chain, excited, amplitude=displacement, velocity=velocity, **how
@@ -256,7 +257,7 @@ class _Builder:
 
         if masses is None:
             return pulled_away
-        return lambda chain, displacement=table.displacement, velocity=table.velocity: pulled_away(
+        return lambda chain, displacement=pulled, velocity=moved: pulled_away(
             chain, given, displacement, velocity
         )
 

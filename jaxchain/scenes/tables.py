@@ -489,10 +489,10 @@ class ExcitedTable(_BlockTable):
     """Which masses are excited, counted from 1; instead of `excited`."""
     pattern: Literal["alternating", "in-phase"] = "alternating"
     """Signs of the displacements along the chain."""
-    displacement: Number = 2.0
-    """How far an excited mass is pulled away, in x0."""
-    velocity: Number = 0.0
-    """Velocity of every mass, in x0 omega_n."""
+    displacement: PerCell = 2.0
+    """How far an excited mass is pulled away, in x0; one number, or a list with one per mass."""
+    velocity: PerCell = 0.0
+    """Velocity of every mass, in x0 omega_n; one number, or a list with one per mass."""
 
 
 StartTable: TypeAlias = Annotated[

@@ -7,6 +7,7 @@
 - `plan`: the interface of a run that can be continued
 - `run`: `simulate`, one run of a chain
 - `smoothed`: smoothed friction, by the steps of a diffrax solver
+- `sticking`: which masses stick to the belt in a state
 """
 
 import lazy_loader

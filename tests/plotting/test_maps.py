@@ -10,8 +10,9 @@ from matplotlib.figure import Figure
 from synthetic import ladder, results, special_curve
 
 from jaxchain.plotting.branches import PARTS, plot_special_curves
+from jaxchain.plotting.colours import GREY, RED
 from jaxchain.plotting.maps import plot_map
-from jaxchain.plotting.style import GREY, RED, save_figure, shades
+from jaxchain.plotting.style import save_figure, shades
 from jaxchain.result import NAMES
 
 SPEEDS, DAMPING = np.array([1.0, 1.2, 1.6]), np.array([0.1, 0.2])

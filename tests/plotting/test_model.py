@@ -10,8 +10,9 @@ from matplotlib.patches import FancyArrowPatch, Rectangle
 
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.friction import Coulomb, ExponentialDecay, TanhFriction
+from jaxchain.plotting.colours import BLUE
 from jaxchain.plotting.model import draw_model, plot_friction_law, zigzag
-from jaxchain.plotting.style import BLUE, STYLE
+from jaxchain.plotting.style import STYLE
 
 
 def texts(axes):

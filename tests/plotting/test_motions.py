@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 from jaxchain.model.chain import paper_chain, steady_sliding
 from jaxchain.model.ready_made import ModeCoupling
 from jaxchain.observers.samples import Trajectory
+from jaxchain.plotting.colours import BLUE, ORANGE
 from jaxchain.plotting.motions import (
     _Film,
     animate,
@@ -26,7 +27,6 @@ from jaxchain.plotting.motions import (
     plot_time_series,
     sticking,
 )
-from jaxchain.plotting.style import BLUE, ORANGE
 from jaxchain.simulation.event_driven import EventDriven
 from jaxchain.simulation.run import simulate
 

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from synthetic import cycle_branch, ladder, results, single
 
 from jaxchain.plotting.branches import plot_branch
-from jaxchain.plotting.style import COLUMN_WIDTH, SERIES
+from jaxchain.plotting.colours import SERIES
+from jaxchain.plotting.style import COLUMN_WIDTH
 from jaxchain.plotting.sweeps import plot_sweep
 from jaxchain.result import NAMES
 

@@ -1,0 +1,61 @@
+"""What the command explores, and what it refuses before a server starts."""
+
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from jaxchain import equation_8
+from jaxchain.cli import main
+from jaxchain.explorer import explore
+from jaxchain.explorer.serving import explored
+from jaxchain.scenes import SceneError
+
+
+def test_without_a_scene_it_is_the_ring_of_twenty():
+    chain, state, stored = explored(None, None, [])
+    assert chain.n == 20
+    assert stored == {}
+    for a, b in zip(state, equation_8(chain, 5), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_scene_is_explored_in_the_middle_of_its_sweep():
+    chain, state, _ = explored("fig3", None, [])
+    assert (chain.n, round(float(chain.belt_speed), 9)) == (20, 1.45)
+    np.testing.assert_array_equal(state[0], equation_8(chain, 10)[0])
+    one, _, _ = explored("fig3", "single", [])
+    assert one.n == 1
+    with pytest.raises(SceneError, match="no experiment `ladders`; it has: single, ladder"):
+        explored("fig3", "ladders", [])
+
+
+def test_a_folder_of_results_lies_under_the_diagram(tmp_path):
+    few = ["experiment.ladder.sweep.excited=[0, 6]", "experiment.ladder.time.transient=50.0"]
+    arguments = [word for key in few for word in ("--set", key)]
+    folder = str(tmp_path / "results")
+    assert main(["run", "quickstart", "--no-plot", "--quiet", "--output", folder, *arguments]) == 0
+    _, _, stored = explored(folder, None, [])
+    speeds, energies = stored["belt_speed"]
+    assert len(speeds) == len(energies) == 22
+    assert energies.max() > 1.0 > energies.min()
+
+
+def test_what_cannot_be_is_refused_before_anything_starts(capsys, chains):
+    assert main(["explore", "--port", "70000"]) == 2
+    assert "below 65536, but is 70000" in capsys.readouterr().err
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["explore", "--port", str(port), "--no-browser"]) == 2
+    assert f"`port` = {port} cannot be used" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="must be the pair"):
+        explore(chains[1, 1e-2], 3)  # pyright: ignore[reportArgumentType]
+
+
+def test_the_command_and_the_package_do_not_load_panel():
+    code = "import jaxchain.cli, jaxchain, sys; assert 'panel' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
