@@ -122,9 +122,9 @@ class Run:
 
     @property
     def belt_speed(self) -> float:
-        """v_d at present."""
-        known: Any = self.model
-        return float(known.belt_speed_at(self.t))
+        """v_d at present, of the first contact; 0 without one."""
+        speeds = [contact.speed_at(self.t) for contact in self.model.frictional_contacts]
+        return float(np.ravel(speeds[0])[0]) if speeds else 0.0
 
     def window(self, length: float) -> tuple[np.ndarray, np.ndarray]:
         """(times, y, y' and the state) of the last `length` time units."""
@@ -357,9 +357,9 @@ class Session:
         found = found[np.isfinite(found)][-_PEAKS:]
         peaks[: len(found)] = found
         vibrating = regular = None
-        known: Any = run.model
-        if known.frictional and not known.moving_belt:
-            vibrating = np.asarray(active(jnp.asarray(amplitude), known.belt_speed))
+        contacts = run.model.frictional_contacts
+        if len(contacts) == 1 and not contacts[0].moving:
+            vibrating = np.asarray(active(jnp.asarray(amplitude), contacts[0].belt_speed))
         edges = np.searchsorted(times, run.t - span * run.unit * np.arange(WINDOWS, -1, -1))
         if len(times) and times[0] <= run.t - (WINDOWS - 0.05) * span * run.unit:
             cuts = itertools.pairwise(edges)

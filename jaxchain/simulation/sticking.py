@@ -31,7 +31,8 @@ def is_sticking(model: AbstractModel, t: ScalarLike, state: State) -> Bool[Array
         return None
     if known.dry:
         unit = known.natural_scales()[1]
-        limit = limit + RESOLUTION * (unit + jnp.abs(known.belt_speed_at(t)))
+        (contact,) = known.frictional_contacts  # of several there is no one speed
+        limit = limit + RESOLUTION * (unit + jnp.abs(contact.speed_at(t)))
     layer: Any = known.layer(t, state)
     left, right = known.neighbours(state)
     return (jnp.abs(layer[0]) <= limit) & (known.excess_force(t, left, state, right) <= 0)
