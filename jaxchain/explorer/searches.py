@@ -140,6 +140,7 @@ class Searcher:
                 report(message[1])
             return message
         except (EOFError, OSError, pickle.UnpicklingError):
+            self.stop()  # waits: a process that is being killed still seems to live
             if cancelled.is_set():
                 raise CancelledError from None
             raise RuntimeError("The process that searches has ended: try again.") from None

@@ -8,7 +8,7 @@ import pytest
 from jaxchain import Amplitude, ExponentialDecay, energy, equation_8, simulate
 from jaxchain.explorer import Session
 from jaxchain.explorer.session import KEPT
-from jaxchain.model import MechanicalCells
+from jaxchain.model import Contact, MechanicalCells, Stop
 from jaxchain.model.ready_made import VanDerPol
 
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
@@ -143,6 +143,15 @@ MODELS = {
         MechanicalCells(1.0, damping=0.1, force=1.0, frequency=0.7, spring=lambda e: e),
         tuple(np.zeros((2, 2))),
     ),
+    "a block on a block, and a stop": (
+        MechanicalCells(
+            [[1.0, 0.3], [0.3, 2.0]],
+            damping=0.1,
+            contacts=[Contact((1, 0), LAW, 1.0, 0.5), Contact((-1, 1), LAW, 0.3)],
+            stops=[Stop((1, 0), 0.9, 0.6)],
+        ),
+        tuple(0.1 * np.ones((4, 1))),
+    ),
     "van der Pol": (VanDerPol(1.0), tuple(np.ones((2, 2)))),
 }
 
@@ -154,7 +163,7 @@ def test_every_model_runs_and_each_of_its_scalars_has_a_slider(name):
     assert not session.failure
     numbers = session.numbers()
     assert np.all(np.isfinite(numbers.amplitude))
-    assert (numbers.vibrating is not None) == model.frictional
+    assert (numbers.vibrating is not None) == (len(model.frictional_contacts) == 1)
     names = {slider.name for slider in session.sliders}
     scalars = {name for name, value in model.parameters().items() if not np.ndim(value)}
     assert scalars <= names
