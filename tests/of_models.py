@@ -7,7 +7,7 @@ import jaxchain
 
 
 def functions_of_a_model() -> set[str]:
-    """Names of all public functions with an argument `chain` or `model`, but those that show it."""
+    """Names of all public functions with an argument `chain` or `model` that do not show it."""
     shows = ("plotting", "explorer")
     submodules = [getattr(jaxchain, name) for name in jaxchain.SUBMODULES if name not in shows]
     public = [getattr(m, name) for m in (jaxchain, *submodules) for name in m.__all__]
