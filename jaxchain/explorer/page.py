@@ -311,8 +311,14 @@ class Page:
 
     def _later(self, action: Callable[[], Any]) -> None:
         """Does it on the thread that serves, while the visitor is there."""
+
+        def act() -> None:
+            visitor = self.doc.session_context.session
+            if not self.gone and (not self.seen or (visitor and visitor.connection_count)):
+                action()
+
         if not self.gone:
-            self.doc.add_next_tick_callback(action)
+            self.doc.add_next_tick_callback(act)
 
     def _leave(self, context: Any) -> None:
         """The visitor has left: his searches end."""
