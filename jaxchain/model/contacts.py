@@ -146,6 +146,11 @@ class Contact(PrintedAsCall, eqx.Module):
         pressed: Any = self.normal_load(t, y[: len(y) // 2], y[len(y) // 2 :])
         return jnp.maximum(pressed, 0.0)
 
+    def force_at_rest(self, rest: State, stiffness: Any) -> Any:
+        """The force that counts as 1: the load at t = 0."""
+        del stiffness
+        return self.load_at(jnp.zeros(()), rest)
+
     def slip(self, t: Any, y: State) -> Array:
         """w = e . q' - v_d."""
         return along(self.direction, y[len(y) // 2 :]) - self.speed_at(t)
@@ -209,6 +214,11 @@ class Stop(PrintedAsCall, eqx.Module):
                 f"Argument `restitution` must be at most 1, but is {shown(self.restitution)}: an "
                 "impact gives no energy."
             )
+
+    def force_at_rest(self, rest: State, stiffness: Any) -> Any:
+        """The force that counts as 1: that of the stiffness over the gap."""
+        del rest
+        return stiffness * jnp.abs(self.gap)
 
     def numbers(self) -> dict[str, Any]:
         """Its parameters by name."""

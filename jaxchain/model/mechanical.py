@@ -616,32 +616,37 @@ class MechanicalCells(AbstractCells):
 
         b = e . M^{-1} e and K = e . K e / (e . e)^2.  Of several contacts the shortest time, and
         the greatest of the others.  A load that varies counts by its value at t = 0 and rest.
+        Without contacts P = K |gap| of the stops.
         """
-        if not self.frictional_contacts:
+        touches = self.frictional_contacts or self.stops
+        if not touches:
             return super().natural_scales()
-        rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
         times, speeds, loads = [], [], []
-        matrix = self._matrix("stiffness")
-        for contact in self.frictional_contacts:
-            e, u = contact.direction, contact.displacement
-            if u is not None:
-                stiffness = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
-            else:
-                length = sum(a * a for a in e)
-                product = _product(matrix, [a * jnp.ones(()) for a in e])
-                stiffness = along(e, [*product]) / length**2
-            stiffness = jnp.where(stiffness > 0, stiffness, 1.0)
-            share: Any = along(e, self.inverse_mass(contact))
-            load = jnp.max(contact.load_at(jnp.zeros(()), rest))
+        rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
+        for touch in touches:
+            stiffness: Any = self._felt_stiffness(touch)
+            share: Any = along(touch.direction, self._reach(touch))
+            load = jnp.max(touch.force_at_rest(rest, stiffness))
             load = jnp.where(load > 0, load, 1.0)
             times.append(1.0 / jnp.sqrt(jnp.min(share * stiffness)))
             speeds.append(load * jnp.sqrt(jnp.max(share / stiffness)))
             loads.append(load)
-        return (
-            _extreme(jnp.minimum, times),
-            _extreme(jnp.maximum, speeds),
-            _extreme(jnp.maximum, loads),
-        )
+        greatest = [_extreme(jnp.maximum, values) for values in (speeds, loads)]
+        return _extreme(jnp.minimum, times), *greatest
+
+    def _reach(self, touch: Contact | Stop) -> list[Any]:
+        return [0.0 if part is None else part for part in self.inverse_mass(touch)]
+
+    def _felt_stiffness(self, touch: Contact | Stop) -> Any:
+        """e . K e / (e . e)^2; 1 where it is not positive."""
+        matrix, e = self._matrix("stiffness"), touch.direction
+        if sum(a != 0.0 for a in e) == 1 and 1.0 in e:
+            u = e.index(1.0)
+            stiffness = matrix[u][u] if isinstance(matrix, list) else matrix[..., u, u]
+        else:
+            product = _product(matrix, [a * jnp.ones(()) for a in e])
+            stiffness = along(e, [*product]) / sum(a * a for a in e) ** 2
+        return jnp.where(stiffness > 0, stiffness, 1.0)
 
     def forcing_period(self) -> ScalarLike | None:
         """2 pi / omega; None without forcing."""

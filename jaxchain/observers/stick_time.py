@@ -142,7 +142,8 @@ def _held(step: Step, contact: Any) -> Array:
     unit = step.field.natural_scales()[1] + jnp.abs(contact.speed_at(step.t0))
     if contact.moving:
         least = _CREEP * unit
-    if contact.displacement is None or len(step.field.frictional_contacts) > 1:
+    others = len(step.field.frictional_contacts) > 1 or step.field.stops
+    if contact.displacement is None or others:
         still = _ROUNDING * unit
     middle, half = step.t0 + 0.5 * (step.t1 - step.t0), jnp.full_like(step.y0[0], 0.5)
     v = [step.part(half, d + i) if e else half for i, e in enumerate(contact.direction)]

@@ -1,5 +1,6 @@
 """Several contacts of a cell, belts under each mass, and rigid stops."""
 
+import itertools
 from typing import Any
 
 import jax
@@ -140,15 +141,38 @@ BEGIN = jnp.array([0.1]), jnp.array([0.2])
 
 
 def test_impacts_agree_with_scipy():
-    run = simulate(RUBS, BEGIN, 60.0, **TIGHT)
+    cells = RUBS.with_(belt_speed=0.1)
+    run = simulate(cells, BEGIN, 60.0, observe=StickTime(), **TIGHT)
     one = np.ones(1)
-    belt = (one, 0.3, lambda w: 0.2, lambda t, q, v: 1.0, lambda t: 0.3)
+    belt = (one, 0.3, lambda w: 0.2, lambda t, q, v: 1.0, lambda t: 0.1)
     stops = [(one, 0.6, 0.3), (-one, 0.4, 0.7)]
     witness = Rigid(1.0, lambda t, q, v: 0.9 * np.cos(0.8 * t) - q - 0.05 * v, [belt], stops)
     expected, events = witness.run([0.1], [0.2], 60.0)
     assert len(events) > 40
+    held = [later - t for (t, mode), (later, _) in itertools.pairwise(events) if mode == (0,)]
+    assert run.observed[0] == pytest.approx(sum(held), abs=1e-8)
+    assert sum(held) > 1.0
     np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-11)
     assert run.steps < 200
+
+
+def test_impacts_have_no_units():
+    # Lengths by 1e-6 and times by 1e-3, as in SI units of a small machine.
+    stop = Stop(1.0, 0.6, 0.5)
+    one = MechanicalCells(1.0, **WAVE, stops=[stop])
+    length, time = 1e-6, 1e-3
+    small = MechanicalCells(
+        time**-2,
+        damping=0.05 / time,
+        force=0.9 * length / time**2,
+        frequency=0.8 / time,
+        stops=[Stop(1.0, 0.6 * length, 0.5)],
+    )
+    run = simulate(one, BEGIN, 40.0)
+    begin = BEGIN[0] * length, BEGIN[1] * length / time
+    scaled = simulate(small, begin, 40.0 * time)
+    np.testing.assert_allclose(scaled.state[0] / length, run.state[0], rtol=1e-9)
+    assert scaled.steps == run.steps
 
 
 def test_an_impact_is_part_of_a_cycle():
