@@ -138,18 +138,25 @@ def _held(step: Step, contact: Any) -> Array:
     Between these the series of a belt whose speed changes errs by the tolerance.
     """
     d, least, still = len(step.y0) // 2, 0.0, 0.0
+
+    def slip(theta: float) -> Array:
+        at = jnp.full_like(step.y0[0], theta)
+        v = [step.part(at, d + i) if e else at for i, e in enumerate(contact.direction)]
+        t = step.t0 + theta * (step.t1 - step.t0)
+        return along(contact.direction, v) - contact.speed_at(t)
+
     w0, w1 = contact.slip(step.t0, step.y0), contact.slip(step.t1, step.y1)
     unit = step.field.natural_scales()[1] + jnp.abs(contact.speed_at(step.t0))
     if contact.moving:
         least = _CREEP * unit
+    if step.field.stops:  # an impact ends the step
+        w1 = slip(1.0)
     others = len(step.field.frictional_contacts) > 1 or step.field.stops
     if contact.displacement is None or others:
         still = _ROUNDING * unit
-    middle, half = step.t0 + 0.5 * (step.t1 - step.t0), jnp.full_like(step.y0[0], 0.5)
-    v = [step.part(half, d + i) if e else half for i, e in enumerate(contact.direction)]
-    between = along(contact.direction, v) - contact.speed_at(middle)
-    between = jnp.abs(between) <= jnp.maximum(least, still)
-    return (jnp.abs(w0) <= still) & (jnp.abs(w1) <= still) & between
+    between = jnp.abs(slip(0.5)) <= jnp.maximum(least, still)
+    end = jnp.maximum(least, still) if step.field.stops else still
+    return (jnp.abs(w0) <= still) & (jnp.abs(w1) <= end) & between
 
 
 def _where_negative(
