@@ -53,7 +53,7 @@ def branch(found: Any, parameter: str, high: float, report: Callable[[str], Any]
 
         half = continue_cycle(
             found, parameter=parameter, direction=direction, bounds=(-high, high),
-            max_points=150, progress=show,
+            max_points=150, progress=show, keep_part=False,
         )  # fmt: skip
         halves.append((half.parameter, half.energy, half.unstable > 0))
         points += [(point.kind, float(point.parameter)) for point in half.special]

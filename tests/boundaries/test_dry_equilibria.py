@@ -216,7 +216,7 @@ def test_masses_that_stick_have_no_hopf_point_and_say_so():
         lambda: find_hopf_point(still, "damping_ratio"),
         lambda: continue_equilibrium(still, None, "mu_static", (0.5, 2.0)),
     ):
-        with pytest.raises(ValueError, match=r"belt that moves.*`belt_speed` = 0.*no Hopf point"):
+        with pytest.raises(ValueError, match=r"belts that move.*`belt_speed` = 0.*no Hopf point"):
             search()
 
     @jax.jit
