@@ -51,7 +51,7 @@ def test_numbers_per_mass_and_matrices_run_along_realisations():
         alone = chain.with_(belt_speed=1.5, **numbers)
         run = simulate(alone, equation_8(chain, 1), 5.0, observe=Amplitude(0.5))
         np.testing.assert_allclose(data.amplitude[k, 1], run.observed, rtol=1e-9)
-    for wrong in ({"stiffness": np.ones((4, 2))}, {"belt_speed": np.ones((4, 3))}):
+    for wrong in ({"stiffness": np.ones((4, 2))}, {"coupling": np.ones((4, 2))}):
         with pytest.raises(ValueError, match="must be one number"):
             check_axes(chain, equation_8(chain, 1), wrong)
     unequal = over | {"damping_ratio": np.ones((5, 3))}
