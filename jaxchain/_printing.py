@@ -105,7 +105,7 @@ class Printed:
 class PrintedAsCall:
     """Models print as the call that makes them, with the values of their numbers.
 
-    Arguments that are None, as by default, are left out.
+    Arguments that are None, or empty, as by default, are left out.
     """
 
     def __repr__(self) -> str:
@@ -140,7 +140,12 @@ def _arguments(value: Any) -> list[tuple[str, Any]]:
         pairs = [(p, getattr(value, p.name)) for p in parameters]
     except Exception:  # a property that needs arrays where the model holds other leaves
         return [(f.name, getattr(value, f.name, None)) for f in fields(value)]
-    return [(p.name, part) for p, part in pairs if part is not None or p.default is not None]
+    empty = [None, ()]
+    return [
+        (p.name, part)
+        for p, part in pairs
+        if not any(part is none and p.default is none for none in empty)
+    ]
 
 
 def _argument_text(value: Any) -> str:
