@@ -22,7 +22,7 @@ RESULTS = (
 )
 # Classes without an argument; records, which hold whatever they are given;
 # and fields that are checked where a run begins. Base classes are in tests/test_every_model.py.
-OTHERS = "Divergence EnergyBalance MostSticking Variable DimensionalParameters Method"
+OTHERS = "Explorer Divergence EnergyBalance MostSticking Variable DimensionalParameters Method"
 SUBMODULES = ("model", "runs", "searches", "states", "pictures")
 
 

@@ -50,6 +50,9 @@ def rows() -> Iterator[Row]:
         "simulate, dry", {**run, "model": DRY}, solver=(*t.SOLVERS, Rodas4(), dfx.Tsit5()),
         adjoint=("x", dfx.DirectAdjoint(), dfx.BacksolveAdjoint()),
     )  # fmt: skip
+    watched = {"model": CHAIN, "state": START}
+    for name in ("Session", "explore"):
+        yield row(name, watched, state=states(3))
     bad = RUN["accuracy"]
     yield row("choose_numerics", {"model": CHAIN, "accuracy": 1e-3}, accuracy=bad)
     yield row("cluster", {}, workers=COUNT, scheduler=(3, ["x"]))
