@@ -154,10 +154,11 @@ def _stored(folder: Path, scene: str, name: str, axes: list[str]) -> dict[str, A
 
 def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> Explorer:
     """Serves what `make` makes, in a thread beside this one."""
-    if importlib.util.find_spec("panel") is None:
-        raise ImportError(MISSING)
     if not isinstance(port, int) or not 0 <= port < 65536:
         raise ValueError(f"Argument `port` must be 0 or a free port below 65536, but is {port}.")
+    port = _free_port(address, port)
+    if importlib.util.find_spec("panel") is None:
+        raise ImportError(MISSING)
     made: list[Explored | Exception] = []
 
     def prepare() -> None:
@@ -170,7 +171,6 @@ def serve(make: Callable[[], Explored], port: int, address: str, show: bool) -> 
     # JAX loads while the server starts.
     preparing = threading.Thread(target=prepare, daemon=True)
     preparing.start()
-    port = _free_port(address, port)
     import panel as pn
 
     preparing.join()
