@@ -343,7 +343,8 @@ class VibratingMasses(AbstractClassifier):
     def name(self, code: Int[np.ndarray, " k"], model: Any) -> str:
         count = self.numbers(code, model)["vibrating"]
         if count == 0:
-            return "sliding" if model.frictional and np.any(model.belt_speed != 0) else "quiet"
+            belts = [c.moving or np.any(c.belt_speed != 0) for c in model.frictional_contacts]
+            return "sliding" if any(belts) else "quiet"
         if model.n == 1:
             return "vibrating"
         verb = "vibrates" if count == 1 else "vibrate"

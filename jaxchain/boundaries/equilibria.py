@@ -373,7 +373,8 @@ def _equilibrium(model: Any, guess: State, tolerance: Array, limit: Array) -> Eq
 
         def end(direction: Array) -> Array:
             def at_limit(field: Any) -> Rates:
-                return Rates(field.with_(belt_speed=0.0), m, None, direction)
+                own = "" if "belt_speed" in field.parameters() else "contacts[0]."
+                return Rates(field.with_(**{f"{own}belt_speed": 0.0}), m, None, direction)
 
             root, u = solved(rest_residual, at_limit(model), at_limit(fixed.field))
             return if_found(sticking & root.successful, jnp.split(u, m)[contact - m // 2])

@@ -21,6 +21,8 @@ from jaxchain import (
     simulate,
     sweep,
 )
+from jaxchain.basins import VibratingMasses
+from jaxchain.boundaries import find_equilibrium
 from jaxchain.model import Contact, Coulomb, MechanicalCells, StaticKinetic, Stop
 
 TIGHT: dict[str, Any] = {"rtol": 1e-13, "atol": 1e-14}
@@ -154,6 +156,19 @@ def test_impacts_agree_with_scipy():
     assert sum(held) > 1.0
     np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-11)
     assert run.steps < 200
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.5])
+def test_a_list_of_one_contact_is_that_contact(speed: float):
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    one = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=speed)
+    listed = MechanicalCells(1.0, damping=0.1, contacts=[Contact(1.0, law, 1.0, speed)])
+    at = jnp.array([0.3]), jnp.zeros(1)
+    expected, found = find_equilibrium(one, at), find_equilibrium(listed, at)
+    np.testing.assert_array_equal(found.state, expected.state)
+    np.testing.assert_array_equal(found.interval, expected.interval)
+    names = [VibratingMasses(above=0.5).name(np.zeros(1, int), cells) for cells in (one, listed)]
+    assert names[0] == names[1]
 
 
 def test_impacts_have_no_units():
