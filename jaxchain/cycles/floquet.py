@@ -409,7 +409,7 @@ class LimitCycle(Outcome):
     turns: int | None = eqx.field(static=True, default=None)
 
     def _sketch(self) -> Sketch:
-        """The multipliers and the unit circle, inside of which disturbances die out."""
+        """The multipliers and the unit circle; disturbances die out inside it."""
         angle = np.linspace(0.0, 2.0 * np.pi, 181)
         multipliers = np.ravel(self.multipliers)
         points = [(mu.real, mu.imag, "") for mu in multipliers]

@@ -1,6 +1,6 @@
 """The pictures of the explorer, in Bokeh: built once, then moved from frame to frame.
 
-Colours are those of the figures of the library; what differs in colour differs in form, too.
+The colours are the library's; what differs in colour also differs in form.
 """
 
 from __future__ import annotations

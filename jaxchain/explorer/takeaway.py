@@ -119,7 +119,7 @@ def scene(session: Session) -> str:
 
 
 def _listed(part: Any) -> Any:
-    """An array as numbers of a scene, of which none is tiny."""
+    """The numbers of an array for a scene, with tiny ones as 0."""
     return np.where(np.abs(part) < LEAST, 0.0, part).tolist()
 
 

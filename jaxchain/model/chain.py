@@ -313,7 +313,7 @@ class Chain(AbstractOscillators):
         return steady_sliding(self)
 
     def belt_direction(self) -> ScalarLike:
-        """The sign of v_d, of several that of the first mass; 1 for v_d = 0."""
+        """The sign of v_d, of the first mass if each has its own; 1 for v_d = 0."""
         return jnp.where(jnp.ravel(self.belt_speed)[0] < 0, -1.0, 1.0)
 
     def stick_speed(self) -> PerMass:

@@ -216,7 +216,7 @@ class Stop(PrintedAsCall, eqx.Module):
             )
 
     def force_at_rest(self, rest: State, stiffness: Any) -> Any:
-        """The force that counts as 1: that of the stiffness over the gap."""
+        """The force that counts as 1: stiffness times gap."""
         del rest
         return stiffness * jnp.abs(self.gap)
 

@@ -30,8 +30,8 @@ _OWN = "it is known of models of this package only; leave it out."
 _FOLLOWS = "it follows from other methods; leave it out."
 # Names that no subclass can define, with the alternative.
 _OF_ALL = {
-    "frictional_contacts": "contacts are those of `MechanicalCells`; leave them out.",
-    "stops": "stops are those of `MechanicalCells`; leave them out.",
+    "frictional_contacts": "only `MechanicalCells` have contacts; leave them out.",
+    "stops": "only `MechanicalCells` have stops; leave them out.",
     "dry": "friction is dry in a `Chain` or `MechanicalCells` only; leave it out.",
     "variables": "name the variables of a cell in `components`.",
     **dict.fromkeys(
