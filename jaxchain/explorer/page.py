@@ -415,7 +415,7 @@ class Page:
             return
         for connection in [*visitor._subscribed_connections]:
             # Or a message waits until the browser has confirmed the last one, for 40 ms.
-            with contextlib.suppress(OSError, AttributeError):  # of a tab that closes just now
+            with contextlib.suppress(OSError, AttributeError, AssertionError):  # it closes
                 connection._socket.set_nodelay(True)
         self.count += 1
         if self.play.value and not self.session.failure:

@@ -6,6 +6,7 @@ process can be ended, which is how a search is cancelled.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import subprocess
@@ -72,6 +73,8 @@ class Searcher:
         self._process: subprocess.Popen[bytes] | None = None
         self._turn = threading.Lock()
         self._background: threading.Event | None = None
+        self._stopped = False
+        self._ending = threading.Lock()  # the thread that stops and the one that searches
 
     def run(
         self,
@@ -92,7 +95,7 @@ class Searcher:
         if not background and self._background is not None:
             self._background.set()
         while not self._turn.acquire(timeout=0.1):
-            if cancelled.is_set():
+            if cancelled.is_set() or self._stopped:
                 raise CancelledError
         self._background = cancelled if background else None
         try:
@@ -114,16 +117,7 @@ class Searcher:
         self, request: bytes, report: Callable[[str], Any], cancelled: threading.Event
     ) -> tuple[str, Any]:
         """The last message that the process sends about a request."""
-        if self._process is None or self._process.poll() is not None:
-            self.stop()
-            paths = [path for path in sys.path if path]
-            self._process = subprocess.Popen(
-                [sys.executable, "-m", __name__],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
-            )
-        process: Any = self._process
+        process: Any = self._started()
         done = threading.Event()
 
         def watch() -> None:
@@ -140,18 +134,48 @@ class Searcher:
                 report(message[1])
             return message
         except (EOFError, OSError, pickle.UnpicklingError):
-            self.stop()  # waits: a process that is being killed still seems to live
-            if cancelled.is_set():
+            with self._ending:
+                self._end()  # waits: a process that is being killed still seems to live
+            if cancelled.is_set() or self._stopped:
                 raise CancelledError from None
             raise RuntimeError("The process that searches has ended: try again.") from None
         finally:
             done.set()
 
-    def stop(self) -> None:
-        """Ends the process."""
+    def _started(self) -> subprocess.Popen[bytes]:
+        """The process, started if none lives."""
+        with self._ending:
+            if self._stopped:
+                raise CancelledError
+            if self._process is None or self._process.poll() is not None:
+                self._end()
+                paths = [path for path in sys.path if path]
+                self._process = subprocess.Popen(
+                    [sys.executable, "-m", __name__],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+                )
+            return self._process
+
+    def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
-            self._process.communicate()  # closes both pipes
+            self._process.wait()
+            for pipe in (self._process.stdin, self._process.stdout):
+                with contextlib.suppress(OSError):  # a request that was not sent
+                    pipe.close() if pipe is not None else None
+
+    def stop(self) -> None:
+        """Ends the process for good: a search that runs or waits is cancelled."""
+        with self._ending:
+            self._stopped = True
+            if self._process is not None:
+                self._process.kill()
+            # The thread that searches reads to the end and closes the pipes.
+            if self._turn.acquire(blocking=False):
+                self._end()
+                self._turn.release()
 
 
 def _serve() -> None:

@@ -60,3 +60,14 @@ def test_a_model_that_no_other_process_can_import_is_searched_here(searcher):
 
     with pytest.raises(ValueError, match="`chain` must be a `Chain`"):
         searcher.run(boundaries, Own(), False)
+
+
+@pytest.mark.parametrize("after", [0.0, 0.3])
+def test_what_is_stopped_ends_the_search_that_runs_and_starts_no_other(chains, after):
+    stopped = Searcher()
+    threading.Timer(after, stopped.stop).start()
+    with pytest.raises(CancelledError):
+        stopped.run(boundaries, chains[3, 1e-2], True)
+    stopped.stop()
+    with pytest.raises(CancelledError):
+        stopped.run(boundaries, chains[3, 1e-2], True)
