@@ -374,7 +374,9 @@ def continue_cycle(
     With dry friction a cycle is a sequence of phases of sticking and sliding, and the unknowns are
     the state after one event and the duration of each phase.  Where the sequence changes, the
     branch goes on with the next one, and has a special point, see `CyclePoint`.  Multipliers
-    contain the jumps at events; those that sticking erases are exactly 0.
+    contain the jumps at events; those that sticking erases are exactly 0.  Of cells with several
+    contacts or with stops the branch ends where an event comes, goes or stops to change others;
+    in which order two happen may change.
 
     **Arguments:**
 

@@ -11,6 +11,12 @@ at the start and the durations tau_k of the phases as unknowns a cycle solves
 | release | \\|r_i\\| - p mu_st of a mass that sticks |
 | peak | w_i' = 0 |
 | turn | r_i' = 0 of a mass that sticks |
+| at once | the duration tau_k of the phase |
+
+Contacts and stops are *places*, numbered as in `solvers/dry_friction.py`.  A stop is like a
+contact that slides with w = gap - e . q: its landing is an impact, at which velocities jump.
+Where cells have several contacts, or stops, an event may leave another place outside of its
+band, which changes its mode at once: a phase of no length.
 
 These equations are smooth in the parameters of the chain, also where a mass only just touches the
 belt speed or the static limit, so that such a cycle needs one more of them:
@@ -46,7 +52,8 @@ from ..kinds.changes import NAMES, Change
 from ..kinds.hopf import Hopf
 from ..kinds.kind import AbstractKind, Unknowns
 from ..kinds.multipliers import PeriodDoubling, Torus
-from ..observers.base import Step
+from ..model.contacts import along
+from ..observers.base import AbstractObserver, Step
 from ..observers.samples import Trajectory
 from ..observers.section import AbstractSection
 from ..simulation.event_driven import EventDriven
@@ -63,6 +70,7 @@ from ..solvers.dry_friction import (
     rates,
     scaled_force,
     slip_speed,
+    thrown,
 )
 from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
@@ -78,7 +86,7 @@ OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "tw
 # A margin of rounding.
 MET = 1e-9
 # Those at odd indices are touches, which may be those of a special cycle only.
-EVENTS = ("landing", "peak", "release", "turn")
+EVENTS = ("landing", "peak", "release", "turn", "at once")
 # Of the kinds that a mass only touches: the event, what else it has, and whether it sticks there.
 _TOUCHES = {
     "grazing": ("peak", "no peak of its velocity while it slides", False),
@@ -88,6 +96,8 @@ _TOUCHES = {
 _SAMPLES = 4000
 # Steps of order 8 in a phase, and in a time of 2 pi; below 1e-12 for the chain of the paper.
 _STEPS = 64
+# What is a jump of a velocity, and how close to an event a place is that has one.
+_JUMPS, _AT_EVENT = 1e-7, 1e-6
 # The greatest estimated error of a period.
 _ACCURATE = 1e-8
 # The most steps of an event-driven run over a period, and some for each mass: a search may try
@@ -131,24 +141,25 @@ class Phases(AbstractOrbit, eqx.Module):
 
     All about the sequence are arrays, so that sequences of as many events share a program.
 
-    - `modes` (K, n): of each phase, the mode of each mass (see `solvers/dry_friction.py`).
-    - `events` (K, 3): at the end of each phase (index in `EVENTS`, mass, sign of r at a release).
+    - `modes` (K, places): of each phase, the mode of each place (see `solvers/dry_friction.py`), 1
+      of stops.
+    - `events` (K, 3): at the end of each phase (index in `EVENTS`, place, sign of r at a release).
     - `special`: (index of the event, index in `KINDS`, sign of r) of a special cycle, or None.
     - `apart` (K,): which events follow the one before after some time (at the end of a short stick
       its landing is a "stick onset"); `onsets` (K,): -1 at landings at which the mass sticks, 1 at
-      others, 0 at those like the special event; `alike` (n,): the masses that move like that of
-      the special event.
+      others, 0 at those like the special event and of stops; `alike` (places,): those that move
+      like that of the special event.
     - `slips`: whether it is cut at the peak of a mass, and has no other event.
     - `parameter`, `m`, `forcing_periods`: as in `Shooting`; `steps` in each phase.
     """
 
     field: Any
-    modes: Int[Array | np.ndarray, "phases n"]
+    modes: Int[Array | np.ndarray, "phases places"]
     events: Int[Array | np.ndarray, "phases 3"]
     special: Int[Array | np.ndarray, " 3"] | None
     apart: Bool[Array | np.ndarray, " phases"]
     onsets: Int[Array | np.ndarray, " phases"]
-    alike: Bool[Array | np.ndarray, " n"]
+    alike: Bool[Array | np.ndarray, " places"]
     m: int = eqx.field(static=True)
     slips: bool = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=_STEPS)
@@ -168,7 +179,7 @@ class Phases(AbstractOrbit, eqx.Module):
     @property
     def n(self) -> int:
         """The number of masses."""
-        return np.shape(self.modes)[1]
+        return np.shape(self.modes)[1] // _count(self.field)
 
     @property
     def size(self) -> int:
@@ -177,7 +188,7 @@ class Phases(AbstractOrbit, eqx.Module):
 
     @property
     def mass(self) -> Any:
-        """The mass at whose event the cycle is cut."""
+        """The place at whose event the cycle is cut."""
         return self.events[-1][1]
 
     @property
@@ -193,7 +204,14 @@ class Phases(AbstractOrbit, eqx.Module):
     def _scale(self, u: Array) -> Any:
         """What the gaps of the return are divided by."""
         still = not self.slips or self.forcing_periods is not None
-        return 1.0 if still else u[self.field.contact * self.n + self.mass]
+        return 1.0 if still else self._speed(u)
+
+    def _speed(self, u: Array) -> Any:
+        """The velocity of the place that is cut, along its direction."""
+        parts = [part[self.mass % self.n] for part in jnp.split(u[: self.m * self.n], self.m)]
+        touched = [*self.field.frictional_contacts, *self.field.stops]
+        directions = jnp.asarray([one.direction for one in touched])
+        return directions[self.mass // self.n] @ jnp.stack(parts[self.m // 2 :])
 
     def touching(self, grazes: bool) -> Phases:
         """The same slip cycle, which grazes or not."""
@@ -222,28 +240,30 @@ class Phases(AbstractOrbit, eqx.Module):
         """(`residual`, (margins, error))."""
         field, state, period = self.unpack(u, *parameter)
         durations, d = u[-len(self.events) :], self.m * self.n
-        limit = jnp.broadcast_to(nominal_limit(field), (self.n,))
+        limit, scale = limits(field, self.n), scales(field, self.n)
         modes = jnp.asarray(self.modes, float)
-        scale = 1.0 + jnp.abs(_belts(field, self.n))
+        single, indices = alone(field), jnp.arange(modes.shape[1])
         begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
 
         def parts(z: Array) -> tuple[Array, State]:
             return z[0], tuple(jnp.split(z[1:], self.m))
 
-        def phase(z: Array, given: tuple[Array, Array, Array, Array]) -> tuple[Array, Any]:
-            mode, duration, first, last = given
+        def phase(z: Array, given: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Any]:
+            mode, duration, first, last, (event, place, _) = given
 
             def rate(z: Array) -> Array:
-                return jnp.concatenate([jnp.ones(1), *motion(field, *parts(z), mode)])
-
-            def contact(z: Array) -> tuple[Array, Array]:
-                t, y = parts(z)
-                return slip_speed(field, t, y), scaled_force(field, t, y)
+                return jnp.concatenate([jnp.ones(1), *motion_in(field, *parts(z), mode)])
 
             def near(z: Array) -> Array:
-                """How far each mass is from an event, in shares; the event is at 0."""
-                w, r = contact(z)
+                """How far each place is from an event, in shares; the event is at 0."""
+                w, r = at_places(field, *parts(z), mode)
                 return jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
+
+            # Where it lands, r is the force that would hold it.
+            ends = mode if single else jnp.where(indices == place, STICK, mode)
+
+            def contact(z: Array) -> tuple[Array, Array]:
+                return at_places(field, *parts(z), ends)
 
             def motion_of(z: Array, slope: Array) -> tuple[Array, Array, Array]:
                 """Displacements, velocities, accelerations of the first variable of each cell."""
@@ -271,21 +291,32 @@ class Phases(AbstractOrbit, eqx.Module):
                 return end, new, extent, jnp.maximum(highest, top), error
 
             extent = jnp.stack([z[1 : self.n + 1]] * 2)
-            start = z, rate(z), extent, jnp.full(self.n, -1.0), jnp.zeros(())
+            begins, follows = jnp.full(mode.size, -1.0), jnp.ones(())
+            if not single:
+                # Forces and velocities of others may have jumped at the event before.
+                begins = jnp.where(first, -1.0, lax.stop_gradient(near(z)))
+                (w, r), (rises, _) = jax.jvp(contact, (z,), (rate(z),))
+                follows = _outside(mode, w, rises, r, limit, scale)[place]
+                follows = jnp.where(event == EVENTS.index("at once"), follows, 1.0)
+            start = z, rate(z), extent, begins, jnp.zeros(())
             z, slope, extent, highest, error = lax.fori_loop(0, self.steps, step, start)
             (w, r), (slowing, rising) = jax.jvp(contact, (z,), (slope,))
-            return z, (jnp.stack([w, slowing, r, rising]), extent, highest, error)
+            z = thrown_at(field, z, self.m, event, place)
+            return z, (jnp.stack([w, slowing, r, rising]), extent, highest, error, follows)
 
         start = jnp.concatenate([begin[None], *state])
         ended = self._events_at_ends()
-        z, (values, extents, highest, errors) = lax.scan(
-            phase, start, (modes, durations, jnp.roll(ended, 1, axis=0), ended)
-        )
         events, every = jnp.asarray(self.events), jnp.arange(len(self.events))
+        z, (values, extents, highest, errors, follows) = lax.scan(
+            phase, start, (modes, durations, jnp.roll(ended, 1, axis=0), ended, events)
+        )
 
-        def value(k: Any, event: Any, mass: Any, sign: Any) -> Array:
-            at = jnp.where(event == EVENTS.index("release"), sign * limit[mass], 0.0)
-            return values[k, event, mass] - at
+        def value(k: Any, event: Any, place: Any, sign: Any) -> Array:
+            at = jnp.where(event == EVENTS.index("release"), sign * limit[place], 0.0)
+            own = values[k, event, place] - at  # `at once` is beyond the last row
+            return (
+                own if single else jnp.where(event == EVENTS.index("at once"), durations[k], own)
+            )
 
         gap = (z[1:] - u[:d]) / self._scale(u)  # or steady sliding would be a solution
         gaps = [gap, jax.vmap(value)(every, *events.T)]
@@ -296,35 +327,45 @@ class Phases(AbstractOrbit, eqx.Module):
             event = jnp.where(kind == 0, EVENTS.index("landing"), EVENTS.index("release"))
             own = value(k, event, events[k, 1], sign)
             gaps.append(jnp.where(kind == _TOGETHER, durations[k], own)[None])
-        margins = self._margins(values, highest, durations, limit)
+        margins = self._margins(values, highest, durations, limit, follows)
         amplitude = (jnp.max(extents[:, 1], axis=0) - jnp.min(extents[:, 0], axis=0)) / 2
         return jnp.concatenate(gaps), (margins, jnp.sum(errors), amplitude)
 
     def _events_at_ends(self) -> Bool[Array, "phases n"]:
-        """Which masses have an event at the end of each phase, also with others at one time.
+        """Which places have an event at the end of each phase, also with others at one time.
 
-        In the steps beside these a mass has no further one but by rounding.
+        In the steps beside these they have no further one but by rounding.
         """
         events, apart = jnp.asarray(self.events), jnp.asarray(self.apart)
         group = jnp.cumsum(apart)
         group = jnp.where(group == 0, group[-1], group)
         touch = jnp.outer(events[:, 0] % 2, jnp.asarray(self.alike)) > 0
-        own = (events[:, 1][:, None] == jnp.arange(self.n)[None]) | touch
+        own = (events[:, 1][:, None] == jnp.arange(np.shape(self.modes)[1])[None]) | touch
         together = group[:, None] == group[None]
         return together.astype(int) @ own.astype(int) > 0
 
-    def _margins(self, values: Array, highest: Array, durations: Array, limit: Array) -> Array:
+    def _margins(
+        self, values: Array, highest: Array, durations: Array, limit: Array, follows: Array
+    ) -> Array:
         """See `CycleProperties`."""
-        stick, masses = jnp.asarray(self.modes) == STICK, jnp.asarray(self.events)[:, 1]
-        signs = jnp.asarray(self.onsets)
-        shares = jnp.abs(values[jnp.arange(len(signs)), EVENTS.index("release"), masses])
-        onsets = jnp.where(signs == 0, -1.0, signs * (1.0 - shares / limit[masses]))
+        stick, places = jnp.asarray(self.modes) == STICK, jnp.asarray(self.events)[:, 1]
+        signs, every = jnp.asarray(self.onsets), jnp.arange(len(self.onsets))
+        shares = jnp.abs(values[every, EVENTS.index("release"), places])
+        onsets = jnp.where(signs == 0, -1.0, signs * (1.0 - shares / limit[places]))
         apart = jnp.where(jnp.asarray(self.apart), -durations / jnp.sum(durations), -1.0)
+        slides, together = jnp.max(jnp.where(stick, -1.0, highest)), jnp.max(apart)
+        if not alone(self.field):
+            together = jnp.maximum(together, jnp.max(-follows))
+        if self.field.stops:  # an impact that becomes a touch
+            hits = places >= stick.shape[1] - _stops(self.field, self.n)
+            hits &= jnp.asarray(self.events)[:, 0] == EVENTS.index("landing")
+            approach = values[every, EVENTS.index("peak"), places]
+            slides = jnp.maximum(slides, jnp.max(jnp.where(hits, approach, -1.0)))
         margins = [
-            jnp.max(jnp.where(stick, -1.0, highest)),
+            slides,
             jnp.max(jnp.where(stick, highest, -1.0)),
             jnp.maximum(jnp.max(onsets), -1.0),
-            jnp.max(apart),
+            together,
         ]
         return lax.stop_gradient(jnp.stack(margins))
 
@@ -349,22 +390,25 @@ class Phases(AbstractOrbit, eqx.Module):
 
         slopes, (gaps, (margins, error, amplitude)) = jax.jacfwd(both, has_aux=True)(z)
         field, state, period = self.unpack(u, *parameter)
-        j = field.contact * self.n + self.mass
         rho = jnp.nan * period
-        if self.slips and parameter:
+        if self.slips and parameter and alone(field):
+            j = field.contact * self.n + self.mass
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
             cut = jax.jacfwd(
-                lambda z: z[j] - _belts(self.unpack(u, *z[u.size :])[0], self.n)[self.mass]
+                lambda z: z[j] - belts(self.unpack(u, *z[u.size :])[0], self.n)[self.mass]
             )(z)
             square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
             right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0)
             right = right.at[1, j].set(1.0 / self._scale(u))
             along, arriving = (jnp.linalg.solve(square, one)[-1] for one in right)
             rho = 1.0 - along / arriving
-        belt = _belts(field, self.n)[self.mass]
-        forward = jnp.sign(belt)
-        speed = forward * u[j] if self.slips else jnp.inf * period
-        below = forward * (belt - u[j])
+        speed, below = jnp.inf * period, jnp.ones(())
+        if self.slips and field.frictional_contacts:
+            belt, own = belts(field, self.n)[self.mass], self._speed(u)
+            speed, below = jnp.sign(belt) * own, jnp.sign(belt) * (belt - own)
+        elif self.slips:
+            t = u[self.m * self.n] if self.forcing_periods is not None else 0.0
+            below = at_places(field, t, state, jnp.asarray(self.modes[0], float))[0][self.mass]
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
         matrix = self._monodromy(u, slopes)
         rest = matrix, _multipliers(matrix), jnp.nan * period, error, amplitude
@@ -571,9 +615,68 @@ class Cuts(AbstractSection):
         return last
 
 
-def _belts(model: Any, n: int) -> Array:
-    """v_d of each mass, at the time 0."""
-    return jnp.broadcast_to(model.frictional_contacts[0].speed_at(0.0), (n,))
+def belts(model: Any, n: int) -> Array:
+    """v_d of each place at the time 0; 0 of stops."""
+    speeds = [contact.speed_at(0.0) for contact in model.frictional_contacts]
+    return jnp.concatenate(
+        [jnp.broadcast_to(a, (n,)) for a in (*speeds, *[0.0] * len(model.stops))]
+    )
+
+
+def scales(model: Any, n: int) -> Array:
+    """1 + |v_d| of contacts, 1 + |gap| of stops."""
+    gaps = [jnp.broadcast_to(stop.gap, (n,)) for stop in model.stops]
+    none = jnp.zeros(_count(model) * n - len(gaps) * n)
+    return 1.0 + jnp.abs(belts(model, n)) + jnp.abs(jnp.concatenate([none, *gaps]))
+
+
+def limits(model: Any, n: int) -> Array:
+    """The static limit of contacts, see `nominal_limit`; 1 of stops."""
+    contacts = n * len(model.frictional_contacts)
+    own = jnp.broadcast_to(nominal_limit(model), (contacts,))
+    return jnp.concatenate([own, jnp.ones(_stops(model, n))]) if model.stops else own
+
+
+def at_places(model: Any, t: Any, y: State, modes: Any) -> tuple[Array, Array]:
+    """(w of contacts and gap - e . q of stops, r) of each place in its mode."""
+    contacts = modes[: modes.size - _stops(model, y[0].size)]
+    w, r = slip_speed(model, t, y), scaled_force(model, t, y, contacts)
+    if not model.stops:
+        return w, r
+    gaps = [stop.gap - along(stop.direction, y[: len(y) // 2]) for stop in model.stops]
+    return jnp.concatenate([w, *gaps]), jnp.concatenate([r, *(0.0 * gap for gap in gaps)])
+
+
+def motion_in(model: Any, t: Any, y: State, modes: Any) -> State:
+    """y' in the modes of the places."""
+    return motion(model, t, y, modes[: modes.size - _stops(model, y[0].size)])
+
+
+def thrown_at(model: Any, z: Array, m: int, event: Any, place: Any) -> Array:
+    """(t, y) after an event, which may be an impact."""
+    if not model.stops:
+        return z
+    y = tuple(jnp.split(z[1:], m))
+    n = y[0].size
+    index = place - n * len(model.frictional_contacts)
+    hits = (jnp.arange(_stops(model, n)) == index) & (event == EVENTS.index("landing"))
+    return jnp.concatenate([z[:1], *thrown(model, y, hits)])
+
+
+def _count(model: Any) -> int:
+    """The number of places of a cell."""
+    return len(model.frictional_contacts) + len(model.stops)
+
+
+def _stops(model: Any, n: int) -> int:
+    return n * len(model.stops)
+
+
+def _outside(mode: Any, w: Any, rises: Any, r: Any, limit: Any, scale: Any) -> Array:
+    """By what share places are outside of the bands of their modes, negative within."""
+    speed = jnp.where(mode == STICK, jnp.abs(w), -mode * w) / scale
+    force = jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * rises / scale)
+    return lax.stop_gradient(jnp.where(jnp.abs(w) / scale > MET, speed, force))
 
 
 def slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
@@ -684,21 +787,17 @@ def phases_of(
 
     `kind` and `mass` of the special event: it is put at the peak, turn or landing closest to one.
 
-    **Raises:** `ValueError` if the cycle has none, or cells have several contacts or stops.
+    **Raises:** `ValueError` if the cycle has none.
     """
     if not alone(chain):
-        raise ValueError(
-            "Argument `model` must have cells with one contact and without stops, because the "
-            "branches of dry cycles follow the events of that one: find the cycle at one value "
-            "after the other, each from the one before, by `find_limit_cycle(model, guess=...)`."
-        )
+        return _phases_of_several(chain, state, period, kind)
     times = np.linspace(0.0, float(period), _SAMPLES + 1)
     run = simulate(
         chain, state, period, observe=Trajectory(jnp.asarray(times)), solver=EventDriven()
     )
     samples = [np.asarray(part)[:-1] for part in run.observed]
     unit = float(chain.natural_scales()[1])
-    still = 10 * RESOLUTION * (unit + np.abs(np.asarray(_belts(chain, state[0].shape[0]))))
+    still = 10 * RESOLUTION * (unit + np.abs(np.asarray(belts(chain, state[0].shape[0]))))
     w = np.asarray(jax.vmap(lambda t, *y: slip_speed(chain, t, y))(times[:-1], *samples))
     modes = np.where(np.abs(w) <= still, STICK, np.sign(w))
     r = np.asarray(jax.vmap(lambda t, *y: scaled_force(chain, t, y))(times[:-1], *samples))
@@ -757,6 +856,121 @@ def phases_of(
         steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
         m=len(state),
         forcing_periods=forcing_periods_of(chain, period),
+    )
+    return phases, jnp.asarray(u)
+
+
+class _Steps(AbstractObserver):
+    """The steps of a run: their starts and ends, before what happens there, and middles."""
+
+    capacity: int = eqx.field(static=True)
+
+    def init(self, field: Any, t0: Any, t1: Any, y0: State) -> Any:
+        del field, t0, t1
+        blank = jnp.zeros((self.capacity, len(y0), y0[0].size))
+        return jnp.zeros((), int), (jnp.zeros((self.capacity, 2)), blank, blank, blank)
+
+    def update(self, accumulator: Any, step: Step) -> Any:
+        count, rows = accumulator
+        times = jnp.stack([step.t0, step.t1])
+        states = step.y0, step.state(0.5), step.state(1.0)
+        new = times, *(jnp.stack(state) for state in states)
+        rows = [all_.at[count].set(one) for all_, one in zip(rows, new, strict=True)]
+        return count + (step.t1 > step.t0), tuple(rows)
+
+    def read(self, accumulator: Any) -> Any:
+        return accumulator
+
+
+def _phases_of_several(
+    model: Dry, state: State, period: Any, kind: str | None
+) -> tuple[Phases, Float[Array, " m"]]:
+    """`phases_of` cells with several contacts, or stops, from the steps of a run."""
+    if kind is not None:
+        raise ValueError(
+            f'Argument `kind` = "{kind}" needs cells with one contact and without stops: follow '
+            "the cycle in one parameter, `continue_cycle`, which ends there."
+        )
+    n, forced = state[0].shape[0], model.forcing_period() is not None
+    most = PERIOD_STEPS + STEPS_PER_MASS * n
+    run = simulate(model, state, period, observe=_Steps(most), solver=EventDriven())
+    count, steps = jax.device_get(run.observed)
+    times, begins, middles, ends = (part[: int(count)] for part in steps)
+
+    def modes_of(times: Any, states: Any) -> np.ndarray:
+        found = jax.vmap(lambda t, y: modes_at(model, t, tuple(y)))(times, states)
+        return np.concatenate([found, np.ones((len(times), _stops(model, n)))], axis=1)
+
+    def seen(times: Any, states: Any, modes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(w, r, how far from an event) of each place."""
+        own = jax.vmap(lambda t, y, mode: at_places(model, t, tuple(y), mode))
+        w, r = jax.device_get(own(times, states, jnp.asarray(modes)))
+        return w, r, np.where(modes == STICK, np.abs(r) / limit - 1.0, -modes * w / scale)
+
+    limit, scale = (np.asarray(part(model, n)) for part in (limits, scales))
+    modes, after = modes_of(times.mean(axis=1), middles), np.roll(begins, -1, axis=0)
+    _, r, near = seen(times[:, 1], ends, modes)
+    half = len(state) // 2
+    jumps = [
+        along(stop.direction, [*(ends - after)[:, half:].swapaxes(0, 1)]) for stop in model.stops
+    ]
+    hit = np.zeros_like(modes, bool)
+    hit[:, modes.shape[1] - _stops(model, n) :] = (
+        np.hstack([*jumps, np.zeros((len(ends), 0))]) > _JUMPS
+    )
+    changes = (modes != np.roll(modes, -1, axis=0)) | hit
+    at = np.flatnonzero(changes.any(axis=1))
+    if not at.size:  # it touches nothing: cut where it comes closest to an event
+        times = np.linspace(0.0, float(period), _SAMPLES + 1)
+        watch = Trajectory(jnp.asarray(times))
+        run = simulate(model, state, period, observe=watch, solver=EventDriven())
+        states = np.stack(jax.device_get(run.observed), axis=1)[:-1]
+        modes = np.broadcast_to(modes[0], (_SAMPLES, modes.shape[1]))
+        _, r, near = seen(times[:-1], states, modes)
+        k, place = np.unravel_index(np.argmax(near), near.shape)
+        event = "turn" if modes[0, place] == STICK else "peak"
+        sequence, events = [modes[0]], [(event, int(place), float(np.sign(r[k, place])))]
+        begin, start, durations, apart, onsets = times[k], states[k], [float(period)], [True], [0]
+    else:
+        lengths = np.diff(times, axis=1)[:, 0]
+        lasts = np.array(
+            [
+                lengths[np.arange(a + 1, b + 1) % len(lengths)].sum()
+                for a, b in zip(at, [*at[1:], at[0] + len(lengths)], strict=True)
+            ]
+        )
+        at = np.roll(at, -1 - int(np.argmax(lasts)))
+        durations, lasts = [], np.roll(lasts, -1 - int(np.argmax(lasts)))
+        sequence, events, apart, onsets = [], [], [], []
+        begin, start = times[at[-1], 1] % times[-1, 1], after[at[-1]]
+        mode = np.roll(modes, -1, axis=0)[at[-1]].copy()
+        for k, before in zip(at, np.roll(lasts, 1), strict=True):
+            own, new = np.abs(near[k]) < _AT_EVENT, np.roll(modes, -1, axis=0)[k]
+            own |= hit[k]
+            cells = changes[k].reshape(-1, n)
+            if not np.all((cells & own.reshape(-1, n)).any(axis=0) | ~cells.any(axis=0)):
+                raise ValueError(
+                    "Argument `model` has a contact that changes its mode at t = "
+                    f"{times[k, 1]:.6g} without an event of its own: its phases cannot be told "
+                    "apart."
+                )
+            places = np.flatnonzero(changes[k])
+            for i in sorted(places, key=lambda i: not own[i]):
+                event = ("release" if mode[i] == STICK else "landing") if own[i] else "at once"
+                sequence.append(mode.copy())
+                events.append((event, int(i), float(np.sign(r[k, i]))))
+                first = i == min(places, key=lambda i: not own[i])
+                apart.append(bool(first))
+                durations.append(float(before) if first else 0.0)
+                lands = event == "landing" and not hit[k, i]
+                onsets.append((-1 if new[i] == STICK else 1) if lands else 0)
+                mode[i] = new[i]
+    u = [*np.ravel(start), *([begin] if forced else []), *durations]
+    how = {"apart": apart, "onsets": onsets, "m": len(state)}
+    steps = _STEPS * int(np.ceil(np.max(durations) / (2 * np.pi)))
+    periods = forcing_periods_of(model, period)
+    phases = phases_from(
+        model, sequence, events, None, steps=steps, forcing_periods=periods, **how
     )
     return phases, jnp.asarray(u)
 

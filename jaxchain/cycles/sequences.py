@@ -30,9 +30,18 @@ from jaxtyping import Array, Float
 from ..continuation.branch import SpecialPoint
 from ..kinds.changes import Change
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_friction import STICK, motion, nominal_limit, scaled_force, slip_speed
+from ..solvers.dry_friction import STICK, alone
 from .orbit import Start
-from .phases import Phases, phases_from, phases_of
+from .phases import (
+    Phases,
+    at_places,
+    limits,
+    motion_in,
+    phases_from,
+    phases_of,
+    scales,
+    thrown_at,
+)
 
 # Shares of a period: of a phase that is gone, and of one with which a new sequence begins.
 _GONE, _BEGIN = (1e-5, 1e-7), 1e-4
@@ -107,19 +116,18 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
     field, state, _ = orbit.unpack(u, p)
     d, k, n = orbit.m * orbit.n, len(orbit.events), orbit.n
     begin = u[d] if orbit.forcing_periods is not None else jnp.zeros(())
-    limit = jnp.broadcast_to(nominal_limit(field), (n,))
-    scale = 1 + jnp.abs(field.frictional_contacts[0].speed_at(0.0))
+    limit, scale = limits(field, n), scales(field, n)
 
-    def phase(z: Array, given: tuple[Array, Array]) -> tuple[Array, _Along]:
-        mode, duration = given
+    def phase(z: Array, given: tuple[Array, Array, Array]) -> tuple[Array, _Along]:
+        mode, duration, (event, place, _) = given
 
         def rate(z: Array) -> Array:
             y = tuple(jnp.split(z[1:], orbit.m))
-            return jnp.concatenate([jnp.ones(1), *motion(field, z[0], y, mode)])
+            return jnp.concatenate([jnp.ones(1), *motion_in(field, z[0], y, mode)])
 
         def seen(z: Array) -> _Along:
             y = tuple(jnp.split(z[1:], orbit.m))
-            w, r = slip_speed(field, z[0], y), scaled_force(field, z[0], y)
+            w, r = at_places(field, z[0], y, mode)
             near = jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
             return _Along(z, near, r)
 
@@ -129,10 +137,12 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
 
         z1, later = lax.scan(step, z, None, length=orbit.steps)
         first = jax.tree.map(lambda a: a[None], seen(z))
+        z1 = thrown_at(field, z1, orbit.m, event, place)
         return z1, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), first, later)
 
     start = jnp.concatenate([begin[None], *state])
-    return lax.scan(phase, start, (jnp.asarray(orbit.modes, float), u[-k:]))[1]
+    given = jnp.asarray(orbit.modes, float), u[-k:], jnp.asarray(orbit.events)
+    return lax.scan(phase, start, given)[1]
 
 
 def _parts_of(orbit: Phases, u: np.ndarray) -> list[_Part]:
@@ -160,6 +170,7 @@ def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]
         None,
         None,
     )
+    stops = orbit.n * len(orbit.field.frictional_contacts)  # and more
     for j, part in enumerate(of.parts):
         mode, after = list(part.mode), of.parts[(j + 1) % len(of.parts)].mode
         if part.special:
@@ -168,7 +179,7 @@ def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]
         for first, event in enumerate(part.events):
             modes.append(tuple(mode))
             mode[event[1]] = after[event[1]]
-            if event[0] == "landing" and event[1] not in part.onset:
+            if event[0] == "landing" and event[1] not in part.onset and event[1] < stops:
                 onsets.append(-1 if after[event[1]] == STICK else 1)
             else:
                 onsets.append(0)
@@ -222,7 +233,8 @@ def change_at(orbit: Phases, raw: SpecialPoint, tolerance: float) -> Passage:
         kind = label
         if special is None and exact is not None:
             special = _made(orbit, exact)[:2]
-        start = _begun(*_made(orbit, beyond), raw.p, tolerance)
+        if beyond is not None:
+            start = _begun(*_made(orbit, beyond), raw.p, tolerance)
         if start is not None:
             break
     there, found = _exactly(orbit, raw, special)
@@ -254,8 +266,12 @@ def _exactly(
 
 def _sequences(
     orbit: Phases, u: np.ndarray, raw: SpecialPoint
-) -> Iterator[tuple[str, _Sequence | None, _Sequence]]:
-    """(what happens, the special cycle, what may be beyond)."""
+) -> Iterator[tuple[str, _Sequence | None, _Sequence | None]]:
+    """(what happens, the special cycle, what may be beyond).
+
+    What an event of one of several places changes in the others is read from runs only: of them
+    nothing is beyond.
+    """
     at = jax.tree.map(np.asarray, _along(jnp.asarray(u), raw.p, orbit))
     k = len(orbit.events)
     period, parts = float(np.sum(u[-k:])), _parts_of(orbit, u)
@@ -276,8 +292,15 @@ def _sequences(
         "release": partial(_with_touches, sticks=True),
         "stick onset": _with_onsets,
     }
-    if raw.kind in comes:
+    if raw.kind in comes and alone(orbit.field):
         yield from comes[raw.kind](orbit, parts, lasting)
+    elif raw.kind in ("grazing", "release"):
+        touched = False
+        for kind, exact, _ in comes[raw.kind](orbit, parts, lasting):
+            touched = True
+            yield kind, exact, None
+        if not touched and raw.kind == "grazing" and orbit.field.stops:
+            yield "grazing", _with_soft_impact(orbit, parts, lasting), None
 
 
 def _without(
@@ -407,7 +430,7 @@ class _Touch(NamedTuple):
 def _touches(orbit: Phases, parts: list[_Part], at: _Along, sticks: bool) -> list[_Touch]:
     found = []
     for k, part in enumerate(parts):
-        for i in range(orbit.n):
+        for i in range(at.near.shape[2]):
             near = at.near[k, :, i]
             if (part.mode[i] == STICK) != sticks:
                 continue
@@ -462,6 +485,22 @@ def _with_touches(
     yield kind, _Sequence(exact, first, alike), _Sequence(new, start)
 
 
+def _with_soft_impact(orbit: Phases, parts: list[_Part], at: _Along) -> _Sequence | None:
+    """With a touch of the stop that is hit most slowly."""
+    stops, found = orbit.n * len(orbit.field.frictional_contacts), []
+    for k, part in enumerate(parts):
+        for event, i, _ in part.events:
+            if event == "landing" and i >= stops:
+                speed = (at.near[k, -1, i] - at.near[k, -2, i]) / part.duration
+                found.append((abs(speed), k, i))
+    if not found:
+        return None
+    _, k, i = min(found)
+    others = tuple(event for event in parts[k].events if event[1] != i)
+    touch = parts[k]._replace(events=(("peak", i, 0.0), *others), special="grazing")
+    return _Sequence([*parts[:k], touch, *parts[k + 1 :]], at.states[0, 0], (i,))
+
+
 def _pair(part: _Part, touches: list[_Touch], duration: float, sticks: bool) -> list[_Part]:
     """A phase up to a touch, and what it becomes."""
     first, second = ("release", "landing") if sticks else ("landing", "release")
@@ -476,7 +515,7 @@ def _with_onsets(
     orbit: Phases, parts: list[_Part], at: _Along
 ) -> Iterator[tuple[str, _Sequence, _Sequence]]:
     """With a short stick after a landing, or a short slip before it sticks."""
-    limit = np.broadcast_to(np.asarray(nominal_limit(orbit.field)), orbit.n)
+    limit = np.asarray(limits(orbit.field, orbit.n))
     new: list[_Part] = []
     exact, alike, first = [*parts], set(), True
     for k, part in enumerate(parts):

@@ -216,14 +216,27 @@ def _slides(chain: Dry, t: Any, y: State, direction: Array, mu: Array) -> list[A
     return [part * c.load_at(t, y) * own for c, part, own in parts]
 
 
+def thrown(chain: Dry, y: State, hits: Array) -> State:
+    """The state after impacts of the cells in `hits`, those of the first stop first."""
+    d, count = len(y) // 2, len(chain.stops)
+    v = y[d:]
+    for stop, hit in zip(chain.stops, _each(hits, count), strict=True):
+        v = _thrown(chain, stop, v, hit, stop.restitution)
+    return (*y[:d], *v)
+
+
 def free_force(chain: Dry, t: Any, y: State) -> Array:
     """r, the force that would hold a mass, of cells with one contact."""
     return _holding(chain, t, y, chain.accelerations(t, y), jnp.zeros_like(y[0]))
 
 
-def scaled_force(chain: Dry, t: Any, y: State) -> Array:
-    """r, in such a unit that the static limit is `nominal_limit` also where p varies."""
-    r = free_force(chain, t, y)
+def scaled_force(chain: Dry, t: Any, y: State, modes: Any = None) -> Array:
+    """r, in such a unit that the static limit is `nominal_limit` also where p varies.
+
+    `modes`: of several contacts, those that stick; the others have their friction.
+    """
+    modes = jnp.zeros_like(y[0]) if modes is None else modes
+    r = _holding(chain, t, y, chain.accelerations(t, y), modes)
     if not any(contact.varying for contact in chain.frictional_contacts):
         return r
     limit = static_limit(chain, t, y)
