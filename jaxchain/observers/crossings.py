@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from .._checks import check_function, check_number, check_one_of, check_whole
+from .._computed_once import materialize
 from .._types import ScalarLike, State
 from ..model.model import AbstractModel
 from .base import (
@@ -26,7 +27,69 @@ from .base import (
 )
 
 
-class Crossings(AbstractObserver):
+class AbstractStatesAtEvents(AbstractObserver):
+    """The first `capacity` states at events of one cell, from `start` on.
+
+    **Value:** (times, x, v), or all m variables; NaN in the rows beyond the events.
+    """
+
+    # The name of the times in a dataset, and of their dimension.
+    names = ("event", "event")
+    if TYPE_CHECKING:  # fields of subclasses, whose arguments have an order of their own
+        oscillator: Any
+        capacity: Any
+        start: Any
+
+    def __check_init__(self) -> None:
+        check_whole("capacity", self.capacity)
+        if self.start is not None:
+            check_number("start", self.start, "nothing is kept before this time; None: all.")
+        if not isinstance(self.oscillator, Array):
+            check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a cell.")
+
+    def empty(self, y0: State) -> tuple[Array, ...]:
+        """(times, variables, count) without an event."""
+        n = y0[0].shape[0]
+        if not isinstance(self.oscillator, Array):
+            check_whole("oscillator", self.oscillator, 0, n - 1, f"the model has {n} cells.")
+        blank = jnp.full((self.capacity, n), jnp.nan)
+        return blank[:, 0], *(blank for _ in y0), jnp.zeros((), int)
+
+    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+        del t0
+        return self.start is None or self.start <= t1
+
+    def late(self, time: Array) -> Any:
+        """Whether an event at this time is kept."""
+        return True if self.start is None else time >= self.start
+
+    def kept(
+        self, rows: tuple[Array, ...], step: Step, theta: Array, here: Array
+    ) -> tuple[Array, ...]:
+        """The rows with the state at theta, if it is `here`; `count` as before."""
+        times, *states, count = rows
+        here = here & (jnp.arange(self.capacity) == count)
+        # Once, not once for every row.
+        parts = [materialize(part) for part in step.state(theta)]
+        pairs = zip(parts, states, strict=True)
+        new = (jnp.where(here[:, None], part[None], old) for part, old in pairs)
+        return jnp.where(here, step.time(theta), times), *new, count
+
+    def finite(self, accumulator: Any) -> Bool[Array, ""]:
+        *rows, count = accumulator
+        return all_finite(rows, jnp.arange(self.capacity) < count)
+
+    def read(self, accumulator: Any) -> tuple[Array, ...]:
+        times, *states, count = accumulator
+        exists: Bool[Array, " capacity"] | Any = jnp.arange(self.capacity) < count
+        kept = (jnp.where(exists[:, None], part, jnp.nan) for part in states)
+        return jnp.where(exists, times, jnp.nan), *kept
+
+    def label(self, value: tuple[Array, ...], model: Any) -> dict[str, Variable]:
+        return states_at_times(self.names[0], value, model, self.names[1], "oscillator")
+
+
+class Crossings(AbstractStatesAtEvents):
     """States where a variable of one cell, or a function of all, passes a level, the first ones.
 
     **Arguments:** `level`, may be traced; `direction`: "up", "down" or "both"; `oscillator`, the
@@ -53,22 +116,19 @@ class Crossings(AbstractObserver):
         [65.995 72.426 78.858] [1. 1. 1.]
     """
 
+    names = ("crossing", "crossing")
     level: float | Any = 0.0
     direction: Literal["up", "down", "both"] = eqx.field(static=True, default="both")
-    oscillator: int = eqx.field(static=True, default=0)
+    oscillator: int | Int[Array, ""] = 0
     component: int = eqx.field(static=True, default=0)
     capacity: int = eqx.field(static=True, default=64)
-    start: float | None = eqx.field(static=True, default=None)
+    start: float | Float[Array, ""] | None = None
     of: Callable[..., Any] | None = eqx.field(static=True, default=None)
 
     def __check_init__(self) -> None:
         check_number("level", self.level)
         check_one_of("direction", self.direction, ("up", "down", "both"))
-        check_whole("capacity", self.capacity)
-        check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a cell.")
         check_whole("component", self.component, 0, remedy="0 is the first number of a cell.")
-        if self.start is not None:
-            check_number("start", self.start, "None: the start of the run.")
         if self.of is not None:
             check_function("of", self.of, "(t, y) of the time and the whole state", 2)
 
@@ -76,8 +136,7 @@ class Crossings(AbstractObserver):
         self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, ...]:
         del field, t1
-        n = y0[0].shape[0]
-        check_whole("oscillator", self.oscillator, 0, n - 1, f"the model has {n} cells.")
+        rows = self.empty(y0)
         last = len(y0) - 1
         check_whole("component", self.component, 0, last, f"a cell has {last + 1} variables.")
         if shape := jnp.shape(self._value(t0, y0)):
@@ -85,12 +144,7 @@ class Crossings(AbstractObserver):
                 "Argument `of` must be a function (t, y) that returns one number, but returns "
                 f"an array of shape {shape}: choose one of its entries."
             )
-        empty = jnp.full((self.capacity, n), jnp.nan)
-        return empty[:, 0], *(empty for _ in y0), jnp.zeros((), int)
-
-    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
-        del t0
-        return self.start is None or self.start <= t1
+        return rows
 
     def _value(self, t: Any, y: State) -> Array:
         return y[self.component][self.oscillator] if self.of is None else self.of(t, y)
@@ -132,28 +186,6 @@ class Crossings(AbstractObserver):
         )
         # To rounding; then a step of length 0, which has the derivatives of the root.
         theta = newton(gap, lax.stop_gradient(newton(constant, theta)))
-        times, *states, count = accumulator
-        now, parts = step.time(theta), step.state(theta)
-        if self.start is not None:
-            crosses = crosses & (now >= self.start)
-        here = crosses & (jnp.arange(self.capacity) == count)
-        return (
-            jnp.where(here, now, times),
-            *(
-                jnp.where(here[:, None], part[None], old)
-                for part, old in zip(parts, states, strict=True)
-            ),
-            count + crosses,
-        )
-
-    def finite(self, accumulator: tuple[Array, ...]) -> Bool[Array, ""]:
-        return all_finite(accumulator[:-1], jnp.arange(self.capacity) < accumulator[-1])
-
-    def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
-        times, *states, count = accumulator
-        exists: Int[Array, " capacity"] | Any = jnp.arange(self.capacity) < count
-        kept = (jnp.where(exists[:, None], part, jnp.nan) for part in states)
-        return jnp.where(exists, times, jnp.nan), *kept
-
-    def label(self, value: tuple[Array, ...], model: Any) -> dict[str, Variable]:
-        return states_at_times("crossing", value, model, "crossing", "oscillator")
+        crosses = crosses & self.late(step.time(theta))
+        *rows, count = self.kept(accumulator, step, theta, crosses)
+        return *rows, count + crosses

@@ -15,15 +15,14 @@ from .._types import ScalarLike, State
 from ..model.model import AbstractModel
 from .base import (
     AbstractNotingObserver,
-    AbstractObserver,
     Step,
     Variable,
     all_finite,
     renamed,
     return_point,
-    states_at_times,
     zeros,
 )
+from .crossings import AbstractStatesAtEvents
 
 # Before all times.
 _NONE = -1e300
@@ -129,37 +128,24 @@ class PeakTimes(AbstractNotingObserver):
 _TRIALS, _LEVEL = 60, 1e-14
 
 
-class AbstractSection(AbstractObserver):
+class AbstractSection(AbstractStatesAtEvents):
     """A `Section`; a subclass chooses by `_slope` the rate whose maximum is taken."""
 
+    names = ("section", "point")
     oscillator: int | Int[Array, ""]
     capacity: int = eqx.field(static=True, default=64)
     start: float | Float[Array, ""] | None = None
     of: Literal["displacement", "velocity"] = eqx.field(static=True, default="displacement")
 
     def __check_init__(self) -> None:
-        check_whole("capacity", self.capacity)
-        _check_start(self.start)
         check_one_of("of", self.of, ("displacement", "velocity"))
-        if not isinstance(self.oscillator, Array):
-            check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a mass.")
 
-    def init(
-        self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
-    ) -> tuple[Array, ...]:
+    def init(self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State) -> Any:
         del field, t0, t1
-        n = y0[0].shape[0]
-        if not isinstance(self.oscillator, Array):
-            check_whole("oscillator", self.oscillator, 0, n - 1, f"the chain has {n} masses.")
-        empty = jnp.full((self.capacity, n), jnp.nan)
-        return empty[:, 0], *(empty for _ in y0), jnp.zeros((), bool), jnp.zeros((), int)
+        return self.empty(y0), jnp.zeros((), bool)
 
-    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
-        del t0
-        return self.start is None or self.start <= t1
-
-    def update(self, accumulator: tuple[Array, ...], step: Step) -> tuple[Array, ...]:
-        times, *kept, level, count = accumulator
+    def update(self, accumulator: Any, step: Step) -> Any:
+        rows, level = accumulator
         first = self._slope(step, 0.0, step.y0)
         last = self._slope(step, 1.0, step.y1)
         bracket = jnp.zeros(()), first, jnp.ones(()), last
@@ -186,24 +172,13 @@ class AbstractSection(AbstractObserver):
         after = self._slope_after(step, last)
         hit = peaks | ((last > 0) & (after < 0))  # a corner
         stops = (last > 0) & (after == 0)
-        if self.start is not None:
-            late = step.time(theta) >= self.start
-            hit, stops = hit & late, stops & late
+        late = self.late(step.time(theta))
+        hit, stops = hit & late, stops & late
         # A mass that starts to stick may be at a maximum, which counts once it falls from there.
         falls = level & (between < 0)
         level = stops | (level & (between == 0))
-        here = (hit | stops) & (jnp.arange(self.capacity) == count)
-        # Once, not once for every row.
-        state = [materialize(part) for part in step.state(theta)]
-        return (
-            jnp.where(here, step.time(theta), times),
-            *(
-                jnp.where(here[:, None], part[None, :], old)
-                for part, old in zip(state, kept, strict=True)
-            ),
-            level,
-            count + (hit | falls),
-        )
+        *rows, count = self.kept(rows, step, theta, hit | stops)
+        return (*rows, count + (hit | falls)), level
 
     def _slope(self, step: Step, theta: Any, y: State) -> Array:
         """The rate of the quantity whose maximum is taken, at theta, where the state is `y`."""
@@ -244,17 +219,11 @@ class AbstractSection(AbstractObserver):
         a, fa, b, fb, *_ = lax.while_loop(goes_on, nearer, whole)
         return jnp.where(peaks, a + (b - a) * fa / jnp.where(peaks, fa - fb, 1.0), 1.0)
 
-    def finite(self, accumulator: tuple[Array, ...]) -> Bool[Array, ""]:
-        return all_finite(accumulator[:-2], jnp.arange(self.capacity) < accumulator[-1])
+    def finite(self, accumulator: Any) -> Bool[Array, ""]:
+        return super().finite(accumulator[0])
 
-    def read(self, accumulator: tuple[Array, ...]) -> tuple[Array, ...]:
-        found = jnp.arange(self.capacity) < accumulator[-1]
-        times, *kept = accumulator[:-2]
-        states = (jnp.where(found[:, None], part, jnp.nan) for part in kept)
-        return jnp.where(found, times, jnp.nan), *states
-
-    def label(self, value: tuple[Array, ...], model: Any) -> dict[str, Variable]:
-        return states_at_times("section", value, model, "point", "oscillator")
+    def read(self, accumulator: Any) -> tuple[Array, ...]:
+        return super().read(accumulator[0])
 
 
 class Section(AbstractSection):
