@@ -59,6 +59,7 @@ from ..observers.section import AbstractSection
 from ..simulation.event_driven import EventDriven
 from ..simulation.run import Simulation, simulate
 from ..solvers.dormand_prince import step as step_of_order_8
+from ..solvers.dry_events import start as on_the_belt
 from ..solvers.dry_friction import (
     RESOLUTION,
     STICK,
@@ -72,7 +73,6 @@ from ..solvers.dry_friction import (
     slip_speed,
     thrown,
 )
-from ..solvers.dry_friction import start as on_the_belt
 from .averaging import graded
 from .floquet import forcing_periods_of, multiplier_resolution, scaled_peak_velocity
 from .orbit import AbstractOrbit, Cycles, Rows, SeenCycle, SpecialRows, together

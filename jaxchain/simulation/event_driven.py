@@ -33,26 +33,21 @@ from .._types import State
 from ..model.model import AbstractModel
 from ..observers.base import AbstractNotingObserver, AbstractObserver, Rates, Step
 from ..result import Result
+from ..solvers.dry_events import after, late, next_event, start
 from ..solvers.dry_friction import (
     STICK,
     Dry,
     Modes,
-    Series,
-    after,
     alone,
-    expand,
-    free_as_chosen,
     friction_at_rest,
     friction_coefficient,
-    late,
     motion,
-    next_event,
     rates,
     slip_speed,
-    start,
     static_limit,
     unique,
 )
+from ..solvers.dry_series import Series, expand, free_as_chosen
 from ..solvers.taylor import value, value_and_slope
 from .plan import (
     AbstractPlan,

@@ -9,7 +9,8 @@ from jaxtyping import Array
 
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay
-from jaxchain.solvers.dry_friction import expand, start
+from jaxchain.solvers.dry_events import start
+from jaxchain.solvers.dry_series import expand
 
 
 def test_the_series_has_every_force_of_the_chain():
