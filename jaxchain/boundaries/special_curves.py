@@ -42,7 +42,9 @@ from ..continuation.implicit import attach_derivative, if_found
 from ..cycles.branches import CyclePoint
 from ..cycles.floquet import LEAST_VELOCITY, check_orbit, is_cycle
 from ..cycles.orbit import AbstractOrbit
-from ..cycles.phases import MET, OTHER_EVENTS, phases_of, slip_phases
+from ..cycles.phases import OTHER_EVENTS
+from ..cycles.places import MET
+from ..cycles.reading_phases import phases_of, slip_phases
 from ..cycles.shooting import SMALL
 from ..datasets import Variable, along, dataset, oscillators
 from ..kinds.changes import NAMES

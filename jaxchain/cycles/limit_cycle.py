@@ -63,6 +63,7 @@ from ..simulation.method import (
 from ..simulation.run import Simulation, simulate
 from .averaging import cycle_speed, gain, greatest_speed, one_mass, usual_peak_velocity
 from .branches import NoBranchError, continue_cycle
+from .dry_runs import PERIOD_STEPS, STEPS_PER_MASS, DryRun, slipping
 from .floquet import (
     CYCLE_RTOL,
     LEAST_VELOCITY,
@@ -77,7 +78,6 @@ from .floquet import (
     orbit_multipliers,
 )
 from .orbit import linearise, residual
-from .phases import PERIOD_STEPS, STEPS_PER_MASS, DryRun, slipping
 from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .symmetry import CycleSymmetry, as_symmetry
 from .variational import Period, Returned, Returns

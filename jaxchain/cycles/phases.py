@@ -52,57 +52,39 @@ from ..kinds.changes import NAMES, Change
 from ..kinds.hopf import Hopf
 from ..kinds.kind import AbstractKind, Unknowns
 from ..kinds.multipliers import PeriodDoubling, Torus
-from ..model.contacts import along
-from ..observers.base import AbstractObserver, Step
-from ..observers.samples import Trajectory
-from ..observers.section import AbstractSection
 from ..simulation.event_driven import EventDriven
-from ..simulation.run import Simulation, simulate
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_events import start as on_the_belt
 from ..solvers.dry_friction import (
-    RESOLUTION,
     STICK,
-    Dry,
     alone,
-    modes_at,
-    motion,
-    nominal_limit,
-    rates,
-    scaled_force,
-    slip_speed,
-    thrown,
 )
 from .averaging import graded
-from .floquet import forcing_periods_of, multiplier_resolution, scaled_peak_velocity
+from .dry_runs import DryRun
+from .floquet import multiplier_resolution, scaled_peak_velocity
 from .orbit import AbstractOrbit, Cycles, Rows, SeenCycle, SpecialRows, together
-from .variational import ExtremesAndTrace
+from .places import (
+    EVENTS,
+    MET,
+    at_places,
+    belts,
+    limits,
+    motion_in,
+    outside,
+    places_of_a_cell,
+    scales,
+    stops_of,
+    thrown_at,
+)
 
 # In the order of `CycleProperties.margins`.
 KINDS = NAMES
 _TOGETHER = KINDS.index("two events")
 # What else may happen along a curve of special cycles, in the same order.
 OTHER_EVENTS = ("another grazing", "another release", "another stick onset", "two events")
-# A margin of rounding.
-MET = 1e-9
-# Those at odd indices are touches, which may be those of a special cycle only.
-EVENTS = ("landing", "peak", "release", "turn", "at once")
-# Of the kinds that a mass only touches: the event, what else it has, and whether it sticks there.
-_TOUCHES = {
-    "grazing": ("peak", "no peak of its velocity while it slides", False),
-    "release": ("turn", "no turn of its force while it sticks", True),
-}
-# Samples of a period, from which the order of events is read.
-_SAMPLES = 4000
 # Steps of order 8 in a phase, and in a time of 2 pi; below 1e-12 for the chain of the paper.
-_STEPS = 64
-# What is a jump of a velocity, and how close to an event a place is that has one.
-_JUMPS, _AT_EVENT = 1e-7, 1e-6
+STEPS_OF_A_PHASE = 64
 # The greatest estimated error of a period.
 _ACCURATE = 1e-8
-# The most steps of an event-driven run over a period, and some for each mass: a search may try
-# absurd periods and laws.
-PERIOD_STEPS, STEPS_PER_MASS = 4_000, 400
 
 
 class CycleProperties(NamedTuple):
@@ -162,7 +144,7 @@ class Phases(AbstractOrbit, eqx.Module):
     alike: Bool[Array | np.ndarray, " places"]
     m: int = eqx.field(static=True)
     slips: bool = eqx.field(static=True)
-    steps: int = eqx.field(static=True, default=_STEPS)
+    steps: int = eqx.field(static=True, default=STEPS_OF_A_PHASE)
     parameter: str | tuple[str, ...] | None = eqx.field(static=True, default=None)
     forcing_periods: int | None = eqx.field(static=True, default=None)
 
@@ -179,7 +161,7 @@ class Phases(AbstractOrbit, eqx.Module):
     @property
     def n(self) -> int:
         """The number of masses."""
-        return np.shape(self.modes)[1] // _count(self.field)
+        return np.shape(self.modes)[1] // places_of_a_cell(self.field)
 
     @property
     def size(self) -> int:
@@ -296,7 +278,7 @@ class Phases(AbstractOrbit, eqx.Module):
                 # Forces and velocities of others may have jumped at the event before.
                 begins = jnp.where(first, -1.0, lax.stop_gradient(near(z)))
                 (w, r), (rises, _) = jax.jvp(contact, (z,), (rate(z),))
-                follows = _outside(mode, w, rises, r, limit, scale)[place]
+                follows = outside(mode, w, rises, r, limit, scale)[place]
                 follows = jnp.where(event == EVENTS.index("at once"), follows, 1.0)
             start = z, rate(z), extent, begins, jnp.zeros(())
             z, slope, extent, highest, error = lax.fori_loop(0, self.steps, step, start)
@@ -357,7 +339,7 @@ class Phases(AbstractOrbit, eqx.Module):
         if not alone(self.field):
             together = jnp.maximum(together, jnp.max(-follows))
         if self.field.stops:  # an impact that becomes a touch
-            hits = places >= stick.shape[1] - _stops(self.field, self.n)
+            hits = places >= stick.shape[1] - stops_of(self.field, self.n)
             hits &= jnp.asarray(self.events)[:, 0] == EVENTS.index("landing")
             approach = values[every, EVENTS.index("peak"), places]
             slides = jnp.maximum(slides, jnp.max(jnp.where(hits, approach, -1.0)))
@@ -601,401 +583,3 @@ def turning_point(
         bend = at(bends, share)
         share = jnp.clip(share - at(rates, share) / jnp.where(bend == 0, jnp.inf, bend), 0.0, 1.0)
     return jnp.where(inside, at(c, share), x1)
-
-
-class Cuts(AbstractSection):
-    """States in which a mass is released by the belt, or is fastest while it slides behind it."""
-
-    def _slope(self, step: Step, theta: Any, y: State) -> Array:
-        field: Any = step.field
-        return field.belt_direction() * slipping(field, step.time(theta), y)[self.oscillator]
-
-    def _slope_after(self, step: Step, last: Array) -> Array:
-        del step
-        return last
-
-
-def belts(model: Any, n: int) -> Array:
-    """v_d of each place at the time 0; 0 of stops."""
-    speeds = [contact.speed_at(0.0) for contact in model.frictional_contacts]
-    return jnp.concatenate(
-        [jnp.broadcast_to(a, (n,)) for a in (*speeds, *[0.0] * len(model.stops))]
-    )
-
-
-def scales(model: Any, n: int) -> Array:
-    """1 + |v_d| of contacts, 1 + |gap| of stops."""
-    gaps = [jnp.broadcast_to(stop.gap, (n,)) for stop in model.stops]
-    none = jnp.zeros(_count(model) * n - len(gaps) * n)
-    return 1.0 + jnp.abs(belts(model, n)) + jnp.abs(jnp.concatenate([none, *gaps]))
-
-
-def limits(model: Any, n: int) -> Array:
-    """The static limit of contacts, see `nominal_limit`; 1 of stops."""
-    contacts = n * len(model.frictional_contacts)
-    own = jnp.broadcast_to(nominal_limit(model), (contacts,))
-    return jnp.concatenate([own, jnp.ones(_stops(model, n))]) if model.stops else own
-
-
-def at_places(model: Any, t: Any, y: State, modes: Any) -> tuple[Array, Array]:
-    """(w of contacts and gap - e . q of stops, r) of each place in its mode."""
-    contacts = modes[: modes.size - _stops(model, y[0].size)]
-    w, r = slip_speed(model, t, y), scaled_force(model, t, y, contacts)
-    if not model.stops:
-        return w, r
-    gaps = [stop.gap - along(stop.direction, y[: len(y) // 2]) for stop in model.stops]
-    return jnp.concatenate([w, *gaps]), jnp.concatenate([r, *(0.0 * gap for gap in gaps)])
-
-
-def motion_in(model: Any, t: Any, y: State, modes: Any) -> State:
-    """y' in the modes of the places."""
-    return motion(model, t, y, modes[: modes.size - _stops(model, y[0].size)])
-
-
-def thrown_at(model: Any, z: Array, m: int, event: Any, place: Any) -> Array:
-    """(t, y) after an event, which may be an impact."""
-    if not model.stops:
-        return z
-    y = tuple(jnp.split(z[1:], m))
-    n = y[0].size
-    index = place - n * len(model.frictional_contacts)
-    hits = (jnp.arange(_stops(model, n)) == index) & (event == EVENTS.index("landing"))
-    return jnp.concatenate([z[:1], *thrown(model, y, hits)])
-
-
-def _count(model: Any) -> int:
-    """The number of places of a cell."""
-    return len(model.frictional_contacts) + len(model.stops)
-
-
-def _stops(model: Any, n: int) -> int:
-    return n * len(model.stops)
-
-
-def _outside(mode: Any, w: Any, rises: Any, r: Any, limit: Any, scale: Any) -> Array:
-    """By what share places are outside of the bands of their modes, negative within."""
-    speed = jnp.where(mode == STICK, jnp.abs(w), -mode * w) / scale
-    force = jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * rises / scale)
-    return lax.stop_gradient(jnp.where(jnp.abs(w) / scale > MET, speed, force))
-
-
-def slipping(model: Any, t: Any, y: State) -> Float[Array, " n"]:
-    """w' of masses that slide behind the belt; 0 at the release, r = -p mu_st.
-
-    Of several contacts the first slides behind, and the others as they do; without any it is the
-    acceleration of the first displacement.
-    """
-    backward, u = -model.belt_direction(), model.contact - len(y) // 2
-    if not alone(model):
-        modes = modes_at(model, t, y)
-        modes = modes.at[: y[0].size].set(backward) if modes.size else modes
-        return motion(model, t, y, modes)[len(y) // 2 + u]
-    (contact,) = model.frictional_contacts
-    mu = contact.law.coefficient(jnp.abs(slip_speed(model, t, y)))
-    return rates(model, t, y, model.accelerations(t, y), mu, backward)[u]
-
-
-class DryRun(eqx.Module):
-    """Event-driven runs over a period, from the state at which a dry cycle is cut.
-
-    That is where mass `mass` is released by the belt, or fastest; of a forced cycle at t = 0.
-    """
-
-    field: Any
-    rtol: Any
-    mass: int = eqx.field(static=True)
-    forcing_periods: int | None = eqx.field(static=True)
-
-    def over(self, state: State, time: Any, observe: Any, t0: Any = 0.0) -> Simulation:
-        """A run for `time`."""
-        return simulate(
-            self.field, state, t0 + time, t0=t0, observe=observe, solver=EventDriven(),
-            rtol=self.rtol, max_steps=PERIOD_STEPS + STEPS_PER_MASS * state[0].size, throw=False,
-        )  # fmt: skip
-
-    def from_the_cut(
-        self, state: State, period: Array, t0: Any = None
-    ) -> tuple[State, State, Any]:
-        """(the state at the cut, that a period later, what `ExtremesAndTrace` sees on the way).
-
-        `t0`: the time of `state`, if it is not that of the cut of a forced cycle.
-        """
-
-        def once_round(state: State, given: tuple[Array, Array]) -> tuple[State, Any]:
-            begin, time = given
-            cuts = [Cuts(self.mass, 1, of="velocity")] if self.forcing_periods is None else []
-            run = self.over(state, time, [*cuts, ExtremesAndTrace()], begin)
-            *cut, along = run.observed
-            there = run.state
-            for _, *parts in cut:
-                there = on_the_belt(self.field, 0.0, tuple(part[0] for part in parts))[0]
-            return there, (state, run.state, along)
-
-        # A run that is compiled once; first a little more than a period, for an orbit that begins
-        # at the cut.
-        zero, times = jnp.zeros(()), [(jnp.zeros(()), period)]
-        if self.forcing_periods is None:
-            times.insert(0, (zero, 1.05 * period))
-        elif t0 is not None:
-            forced = to_float(self.field.forcing_period())
-            times.insert(0, (t0, jnp.ceil(t0 / forced) * forced - t0))
-        given = jnp.stack([time for time, _ in times]), jnp.stack([time for _, time in times])
-        _, seen = lax.scan(once_round, state, given)
-        return jax.tree.map(lambda leaf: leaf[-1], seen)
-
-
-class _Event(NamedTuple):
-    """An event at sample `k`, the first one after it; `sign` is that of r."""
-
-    k: int
-    event: str
-    mass: int
-    sign: float
-
-
-def phases_from(
-    field: Any, modes: Any, events: Any, special: Any, m: int, apart: Any = (True,),
-    onsets: Any = (0,), alike: Any = (), **how: Any,
-) -> Phases:  # fmt: skip
-    """`Phases` from lists: of modes, of (event, mass, sign), of masses; (event, kind, sign)."""
-    events, modes = [(EVENTS.index(e), i, sign) for e, i, sign in events], np.array(modes, int)
-    slips = len(events) == 1 and EVENTS[events[0][0]] == "peak"
-    if special is not None:
-        k, kind, sign = special
-        special = np.array([k, KINDS.index(kind), sign], int)
-    same = np.isin(np.arange(modes.shape[1]), alike)
-    some = np.array(events, int), special, np.array(apart, bool), np.array(onsets, int), same
-    return Phases(field, modes, *some, m, slips, **how)
-
-
-def slip_phases(
-    chain: Dry, state: State, period: Any, mass: int, grazes: bool
-) -> tuple[Phases, Float[Array, " m"]]:
-    """`phases_of` of a slip cycle, from the peak of a mass, which grazes or not."""
-    # `jnp` would trace it in `jit`
-    belts = np.asarray(chain.frictional_contacts[0].speed_at(0.0))
-    mode = tuple((-np.sign(belts) * np.ones(state[0].shape[0])).tolist())
-    special = (0, "grazing", 0.0) if grazes else None
-    phases = phases_from(chain, [mode], [("peak", mass, 0.0)], special, len(state))
-    return phases, jnp.append(jnp.concatenate(state), period)
-
-
-def phases_of(
-    chain: Dry, state: State, period: Any, kind: str | None = None, mass: int = 0
-) -> tuple[Phases, Float[Array, " m"]]:
-    """(the equations, their unknowns) of a cycle with dry friction, from an event-driven run.
-
-    `kind` and `mass` of the special event: it is put at the peak, turn or landing closest to one.
-
-    **Raises:** `ValueError` if the cycle has none.
-    """
-    if not alone(chain):
-        return _phases_of_several(chain, state, period, kind)
-    times = np.linspace(0.0, float(period), _SAMPLES + 1)
-    run = simulate(
-        chain, state, period, observe=Trajectory(jnp.asarray(times)), solver=EventDriven()
-    )
-    samples = [np.asarray(part)[:-1] for part in run.observed]
-    unit = float(chain.natural_scales()[1])
-    still = 10 * RESOLUTION * (unit + np.abs(np.asarray(belts(chain, state[0].shape[0]))))
-    w = np.asarray(jax.vmap(lambda t, *y: slip_speed(chain, t, y))(times[:-1], *samples))
-    modes = np.where(np.abs(w) <= still, STICK, np.sign(w))
-    r = np.asarray(jax.vmap(lambda t, *y: scaled_force(chain, t, y))(times[:-1], *samples))
-    events = []
-    for k, i in np.argwhere(modes != np.roll(modes, 1, axis=0)).tolist():
-        released = modes[k - 1, i] == STICK
-        sign = modes[k, i] if released else np.sign(r[k, i])
-        events.append(_Event(k, "release" if released else "landing", i, float(sign)))
-    special = None
-    if kind is not None or not events:  # a slip cycle is cut at a peak
-        special = _closest(
-            kind or "grazing", mass, events, modes, w, r, np.asarray(nominal_limit(chain))
-        )
-        if kind is None or kind in _TOUCHES:
-            events = sorted([*events, special])
-        special = None if kind is None else special
-    # The cycle begins after the event that the longest phase follows.
-    ks = np.array([event.k for event in events])
-    lengths = (np.roll(ks, -1) - ks) % _SAMPLES if len(ks) > 1 else np.array([_SAMPLES])
-    first = int(np.argmax(lengths)) + 1
-    events, lengths = events[first:] + events[:first], np.roll(lengths, 1 - first)
-    begin = events[-1].k
-    mode, sequence = modes[begin].copy(), []
-    for event in events:
-        sequence.append(tuple(mode.tolist()))
-        if event.event in ("landing", "release"):
-            mode[event.mass] = modes[event.k, event.mass]
-
-    def is_alike(event: _Event, one: _Event) -> bool:
-        """Whether the mass of one event moves like that of the other, or opposite to it."""
-        a, b = (np.roll(w[:, e.mass], -e.k) for e in (event, one))
-        return bool(min(np.max(np.abs(a - b)), np.max(np.abs(a + b))) < 1e-2 * np.ptp(a))
-
-    onsets, alike = [0] * len(events), ()
-    for k, event in enumerate(events):
-        if event.event == "landing" and not (special and is_alike(event, special)):
-            onsets[k] = -1 if modes[event.k, event.mass] == STICK else 1
-    if special is not None:
-        alike = [i for i in range(w.shape[1]) if is_alike(special._replace(mass=i), special)]
-    durations = lengths * (float(period) / _SAMPLES)
-    u = np.concatenate([*(part[begin] for part in samples), durations])
-    if chain.forcing_period() is not None:
-        u = np.insert(u, u.size - len(events), times[begin])
-    phases = phases_from(
-        chain,
-        sequence,
-        [event[1:] for event in events],
-        special=special and (events.index(special), kind, special.sign),
-        apart=[
-            bool(length > 2)
-            and (event.event, one.event, one.mass) != ("release", "landing", event.mass)
-            for length, one, event in zip(lengths, events[-1:] + events[:-1], events, strict=True)
-        ],
-        onsets=onsets,
-        alike=alike,
-        steps=_STEPS * int(np.ceil(np.max(durations) / (2 * np.pi))),
-        m=len(state),
-        forcing_periods=forcing_periods_of(chain, period),
-    )
-    return phases, jnp.asarray(u)
-
-
-class _Steps(AbstractObserver):
-    """The steps of a run: their starts and ends, before what happens there, and middles."""
-
-    capacity: int = eqx.field(static=True)
-
-    def init(self, field: Any, t0: Any, t1: Any, y0: State) -> Any:
-        del field, t0, t1
-        blank = jnp.zeros((self.capacity, len(y0), y0[0].size))
-        return jnp.zeros((), int), (jnp.zeros((self.capacity, 2)), blank, blank, blank)
-
-    def update(self, accumulator: Any, step: Step) -> Any:
-        count, rows = accumulator
-        times = jnp.stack([step.t0, step.t1])
-        states = step.y0, step.state(0.5), step.state(1.0)
-        new = times, *(jnp.stack(state) for state in states)
-        rows = [all_.at[count].set(one) for all_, one in zip(rows, new, strict=True)]
-        return count + (step.t1 > step.t0), tuple(rows)
-
-    def read(self, accumulator: Any) -> Any:
-        return accumulator
-
-
-def _phases_of_several(
-    model: Dry, state: State, period: Any, kind: str | None
-) -> tuple[Phases, Float[Array, " m"]]:
-    """`phases_of` cells with several contacts, or stops, from the steps of a run."""
-    if kind is not None:
-        raise ValueError(
-            f'Argument `kind` = "{kind}" needs cells with one contact and without stops: follow '
-            "the cycle in one parameter, `continue_cycle`, which ends there."
-        )
-    n, forced = state[0].shape[0], model.forcing_period() is not None
-    most = PERIOD_STEPS + STEPS_PER_MASS * n
-    run = simulate(model, state, period, observe=_Steps(most), solver=EventDriven())
-    count, steps = jax.device_get(run.observed)
-    times, begins, middles, ends = (part[: int(count)] for part in steps)
-
-    def modes_of(times: Any, states: Any) -> np.ndarray:
-        found = jax.vmap(lambda t, y: modes_at(model, t, tuple(y)))(times, states)
-        return np.concatenate([found, np.ones((len(times), _stops(model, n)))], axis=1)
-
-    def seen(times: Any, states: Any, modes: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(w, r, how far from an event) of each place."""
-        own = jax.vmap(lambda t, y, mode: at_places(model, t, tuple(y), mode))
-        w, r = jax.device_get(own(times, states, jnp.asarray(modes)))
-        return w, r, np.where(modes == STICK, np.abs(r) / limit - 1.0, -modes * w / scale)
-
-    limit, scale = (np.asarray(part(model, n)) for part in (limits, scales))
-    modes, after = modes_of(times.mean(axis=1), middles), np.roll(begins, -1, axis=0)
-    _, r, near = seen(times[:, 1], ends, modes)
-    half = len(state) // 2
-    jumps = [
-        along(stop.direction, [*(ends - after)[:, half:].swapaxes(0, 1)]) for stop in model.stops
-    ]
-    hit = np.zeros_like(modes, bool)
-    hit[:, modes.shape[1] - _stops(model, n) :] = (
-        np.hstack([*jumps, np.zeros((len(ends), 0))]) > _JUMPS
-    )
-    changes = (modes != np.roll(modes, -1, axis=0)) | hit
-    at = np.flatnonzero(changes.any(axis=1))
-    if not at.size:  # it touches nothing: cut where it comes closest to an event
-        times = np.linspace(0.0, float(period), _SAMPLES + 1)
-        watch = Trajectory(jnp.asarray(times))
-        run = simulate(model, state, period, observe=watch, solver=EventDriven())
-        states = np.stack(jax.device_get(run.observed), axis=1)[:-1]
-        modes = np.broadcast_to(modes[0], (_SAMPLES, modes.shape[1]))
-        _, r, near = seen(times[:-1], states, modes)
-        k, place = np.unravel_index(np.argmax(near), near.shape)
-        event = "turn" if modes[0, place] == STICK else "peak"
-        sequence, events = [modes[0]], [(event, int(place), float(np.sign(r[k, place])))]
-        begin, start, durations, apart, onsets = times[k], states[k], [float(period)], [True], [0]
-    else:
-        lengths = np.diff(times, axis=1)[:, 0]
-        lasts = np.array(
-            [
-                lengths[np.arange(a + 1, b + 1) % len(lengths)].sum()
-                for a, b in zip(at, [*at[1:], at[0] + len(lengths)], strict=True)
-            ]
-        )
-        at = np.roll(at, -1 - int(np.argmax(lasts)))
-        durations, lasts = [], np.roll(lasts, -1 - int(np.argmax(lasts)))
-        sequence, events, apart, onsets = [], [], [], []
-        begin, start = times[at[-1], 1] % times[-1, 1], after[at[-1]]
-        mode = np.roll(modes, -1, axis=0)[at[-1]].copy()
-        for k, before in zip(at, np.roll(lasts, 1), strict=True):
-            own, new = np.abs(near[k]) < _AT_EVENT, np.roll(modes, -1, axis=0)[k]
-            own |= hit[k]
-            cells = changes[k].reshape(-1, n)
-            if not np.all((cells & own.reshape(-1, n)).any(axis=0) | ~cells.any(axis=0)):
-                raise ValueError(
-                    "Argument `model` has a contact that changes its mode at t = "
-                    f"{times[k, 1]:.6g} without an event of its own: its phases cannot be told "
-                    "apart."
-                )
-            places = np.flatnonzero(changes[k])
-            for i in sorted(places, key=lambda i: not own[i]):
-                event = ("release" if mode[i] == STICK else "landing") if own[i] else "at once"
-                sequence.append(mode.copy())
-                events.append((event, int(i), float(np.sign(r[k, i]))))
-                first = i == min(places, key=lambda i: not own[i])
-                apart.append(bool(first))
-                durations.append(float(before) if first else 0.0)
-                lands = event == "landing" and not hit[k, i]
-                onsets.append((-1 if new[i] == STICK else 1) if lands else 0)
-                mode[i] = new[i]
-    u = [*np.ravel(start), *([begin] if forced else []), *durations]
-    how = {"apart": apart, "onsets": onsets, "m": len(state)}
-    steps = _STEPS * int(np.ceil(np.max(durations) / (2 * np.pi)))
-    periods = forcing_periods_of(model, period)
-    phases = phases_from(
-        model, sequence, events, None, steps=steps, forcing_periods=periods, **how
-    )
-    return phases, jnp.asarray(u)
-
-
-def _closest(
-    kind: str, mass: int, events: list[_Event], modes: Any, w: Any, r: Any, limit: Any
-) -> _Event:
-    """The event of `mass` at which `kind` is closest."""
-    limit = np.broadcast_to(limit, modes.shape[1])[mass]
-    mode, force = modes[:, mass], r[:, mass]
-    near = {"grazing": -mode * w[:, mass], "release": np.abs(force) / limit}
-    if kind not in _TOUCHES:
-        ks = np.array([e.k for e in events if e[1:3] == ("landing", mass)], int)
-        found = ks[np.argsort(np.abs(np.abs(force[ks]) / limit - 1.0))]
-        event, missing = "landing", "it never comes to the speed of the belt"
-    else:
-        before, after = np.roll(near[kind], 1), np.roll(near[kind], -1)
-        same = (np.roll(mode, 1) == mode) & (np.roll(mode, -1) == mode)
-        event, missing, sticks = _TOUCHES[kind]
-        same &= (mode == STICK) == sticks
-        ks = np.flatnonzero(same & (near[kind] >= before) & (near[kind] > after))
-        found = ks[np.argsort(-near[kind][ks])]
-    if not found.size:
-        raise ValueError(
-            f'Argument `kind` = "{kind}" needs another cycle: mass {mass} of the given one has '
-            f"{missing}."
-        )
-    return _Event(int(found[0]), event, mass, float(np.sign(force[found[0]])))

@@ -32,16 +32,9 @@ from ..kinds.changes import Change
 from ..solvers.dormand_prince import step as step_of_order_8
 from ..solvers.dry_friction import STICK, alone
 from .orbit import Start
-from .phases import (
-    Phases,
-    at_places,
-    limits,
-    motion_in,
-    phases_from,
-    phases_of,
-    scales,
-    thrown_at,
-)
+from .phases import Phases
+from .places import at_places, limits, motion_in, scales, thrown_at
+from .reading_phases import phases_from, phases_of
 
 # Shares of a period: of a phase that is gone, and of one with which a new sequence begins.
 _GONE, _BEGIN = (1e-5, 1e-7), 1e-4

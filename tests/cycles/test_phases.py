@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from jaxchain import Coulomb
-from jaxchain.cycles.phases import OTHER_EVENTS, peak, phases_from, phases_of, slip_phases
+from jaxchain.cycles.phases import OTHER_EVENTS, peak
+from jaxchain.cycles.reading_phases import phases_from, phases_of, slip_phases
 from jaxchain.kinds.event import Event
 from jaxchain.kinds.fold import Fold
 from jaxchain.kinds.multipliers import PeriodDoubling, Torus
