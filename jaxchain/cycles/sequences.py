@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from ..continuation.branch import SpecialPoint
 from ..kinds.changes import Change
 from ..solvers.dormand_prince import step as step_of_order_8
-from ..solvers.dry_friction import STICK, alone
+from ..solvers.dry_friction import STICK
 from .orbit import Start
 from .phases import Phases
 from .places import at_places, limits, motion_in, scales, thrown_at
@@ -96,7 +96,8 @@ class _Along(NamedTuple):
     """Along each part of a cycle.
 
     `states` (steps + 1, 1 + m n), (t, y); `near` (steps + 1, n): how far each mass is from an
-    event, which is at 0, as in `Phases.run`; `force` (steps + 1, n): r.
+    event, which is at 0, as in `Phases.run`; `force` (steps + 1, n): r, at the end of a mass that
+    lands the force that would hold it.
     """
 
     states: Any
@@ -130,8 +131,11 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
 
         z1, later = lax.scan(step, z, None, length=orbit.steps)
         first = jax.tree.map(lambda a: a[None], seen(z))
-        z1 = thrown_at(field, z1, orbit.m, event, place)
-        return z1, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), first, later)
+        along = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), first, later)
+        lands = jnp.where(jnp.arange(mode.size) == place, STICK, mode)
+        y = tuple(jnp.split(z1[1:], orbit.m))
+        held = along.force.at[-1].set(at_places(field, z1[0], y, lands)[1])
+        return thrown_at(field, z1, orbit.m, event, place), along._replace(force=held)
 
     start = jnp.concatenate([begin[None], *state])
     given = jnp.asarray(orbit.modes, float), u[-k:], jnp.asarray(orbit.events)
@@ -262,8 +266,7 @@ def _sequences(
 ) -> Iterator[tuple[str, _Sequence | None, _Sequence | None]]:
     """(what happens, the special cycle, what may be beyond).
 
-    What an event of one of several places changes in the others is read from runs only: of them
-    nothing is beyond.
+    Beyond the touch of a stop nothing is smooth.
     """
     at = jax.tree.map(np.asarray, _along(jnp.asarray(u), raw.p, orbit))
     k = len(orbit.events)
@@ -276,7 +279,7 @@ def _sequences(
     for share in () if orbit.slips else _GONE:
         gone = [j for j, part in enumerate(parts) if part.duration < share * period]
         if gone and gone != before:
-            found = _without(parts, at.states[last, -1], gone)
+            found = _without(parts, at.states[(last + 1) % k, 0], gone)
             before = gone
             if found is not None:
                 yield found
@@ -285,15 +288,14 @@ def _sequences(
         "release": partial(_with_touches, sticks=True),
         "stick onset": _with_onsets,
     }
-    if raw.kind in comes and alone(orbit.field):
-        yield from comes[raw.kind](orbit, parts, lasting)
-    elif raw.kind in ("grazing", "release"):
-        touched = False
-        for kind, exact, _ in comes[raw.kind](orbit, parts, lasting):
-            touched = True
-            yield kind, exact, None
-        if not touched and raw.kind == "grazing" and orbit.field.stops:
-            yield "grazing", _with_soft_impact(orbit, parts, lasting), None
+    if raw.kind not in comes:
+        return
+    touched, stops = False, orbit.n * len(orbit.field.frictional_contacts)  # and more
+    for kind, exact, beyond in comes[raw.kind](orbit, parts, lasting):
+        touched = True
+        yield kind, exact, beyond if max(exact.alike) < stops else None
+    if not touched and raw.kind == "grazing" and orbit.field.stops:
+        yield "grazing", _with_soft_impact(orbit, parts, lasting), None
 
 
 def _without(
