@@ -190,7 +190,9 @@ class MechanicalCells(AbstractCells):
     frequency: Array | None = eqx.field(converter=optional("frequency"), default=None)
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
-    names: tuple[str, ...] | None = eqx.field(static=True, default=None)
+    names: tuple[str, ...] | None = eqx.field(
+        converter=lambda names: None if names is None else tuple(names), static=True, default=None
+    )
     n: int | None = eqx.field(static=True, default=None)
     coupling_damping: Matrix | None = eqx.field(
         converter=optional("coupling_damping"), default=None
