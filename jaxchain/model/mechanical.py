@@ -587,15 +587,23 @@ class MechanicalCells(AbstractCells):
         only = self._only_contact()
         return None if only is None else only.friction.stick_speed()
 
-    def excess_force(self, t: Any, left: State, own: State, right: State) -> PerMass:
-        """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry."""
-        only = self._only_contact()
-        if only is None or only.dry:
+    def excess_force(
+        self, t: Any, left: State, own: State, right: State, contact: int = 0
+    ) -> PerMass:
+        """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry.
+
+        r = (e . M^{-1} h - v_d') / (e . M^{-1} e), where h has the friction of the others, too.
+        """
+        contacts = self.frictional_contacts
+        if not contacts or self.dry:
             return super().excess_force(t, left, own, right)
-        free, share = self.free_acceleration(t, left, own, right), self.inverse_mass(only)
-        u: Any = only.displacement
-        limit = only.load_at(t, own) * only.law.mu_static
-        return jnp.abs(free[u] / share[u]) - limit
+        one, others = contacts[contact], contacts[:contact] + contacts[contact + 1 :]
+        free = self._slowed(self.free_acceleration(t, left, own, right), t, own, others)
+        pull = along(one.direction, free)
+        if one.moving:
+            pull = pull - one.acceleration_at(t)
+        limit = one.load_at(t, own) * one.law.mu_static
+        return jnp.abs(pull / along(one.direction, self._reach(one))) - limit
 
     def release_acceleration(self) -> PerMass | None:
         """p mu_st times its share b_u of the contact; None without smoothed friction."""
@@ -699,14 +707,18 @@ class MechanicalCells(AbstractCells):
         return tuple(_solve(self._matrix("mass"), forces))
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
-        v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)
-        for contact in self.frictional_contacts:
+        free = self.free_acceleration(t, left, own, right)
+        return (*own[self.d :], *self._slowed(free, t, own, self.frictional_contacts))
+
+    def _slowed(self, accelerations: Parts, t: Any, own: State, contacts: Any) -> Parts:
+        """Accelerations with the friction of these contacts."""
+        for contact in contacts:
             friction = contact.load_at(t, own) * contact.friction.force(contact.slip(t, own))
             accelerations = tuple(
                 a if share is None else a + share * friction
                 for a, share in zip(accelerations, self.inverse_mass(contact), strict=True)
             )
-        return (*v, *accelerations)
+        return accelerations
 
 
 def _extreme(of: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:
