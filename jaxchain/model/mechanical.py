@@ -426,6 +426,28 @@ class MechanicalCells(AbstractCells):
                 total = _plus_scaled(total, added.factor, _of_size(added.matrices[name], self.d))
         return total
 
+    def dense(self, name: str) -> np.ndarray:
+        """A matrix of the first cell with what `plus` adds, of shape (d, d); 0 if there is none.
+
+        **Arguments:** `name`: "stiffness", "mass", "damping", "coupling" or "coupling_damping".
+        """
+        total = self._matrix(name)
+        if isinstance(total, list):
+            total = jnp.stack(
+                [
+                    jnp.stack(
+                        jnp.broadcast_arrays(*(jnp.zeros(()) if a is None else a for a in row)), -1
+                    )
+                    for row in total
+                ],
+                -2,
+            )
+        return (
+            np.zeros((self.d, self.d))
+            if total is None
+            else np.asarray(total).reshape(-1, self.d, self.d)[0]
+        )
+
     def _selector(self, name: str) -> Callable[[Any], Any]:
         if self.plus is None or name not in self.plus:
             return super()._selector(name)

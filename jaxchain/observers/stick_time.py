@@ -25,8 +25,8 @@ class StickTime(AbstractObserver):
     be shorter. The ends of sticking are located between steps. Value: shape (n,), a dimensionless
     time. With dry friction a mass sticks while w = v - v_d is 0. With a smoothed law it sticks
     while |w| is below the speed of greatest friction, `TanhFriction.stick_speed`, *and* the force
-    on it, without this friction, does not exceed p mu_st. The speed alone would give a time too long by
-    sqrt[eps ln(1 / eps)], because a released mass leaves the belt like t^2.
+    on it, without this friction, does not exceed p mu_st. The speed alone would give a time too
+    long by sqrt[eps ln(1 / eps)], because a released mass leaves the belt like t^2.
 
     **Arguments:** `window`, its length in dimensionless time; `contact`, which one of the several
     contacts of a cell, counted from 0.

@@ -26,7 +26,7 @@ def test_the_time_is_the_share_of_states_in_which_friction_holds_a_mass():
 
 
 def test_the_times_of_several_smoothed_contacts_tend_to_those_of_dry_ones():
-    """Three blocks, two of them on the third: what holds one contact has the friction of others."""
+    """Three blocks, two on the third: what holds one contact has the friction of the others."""
 
     def times(width):
         laws = ExponentialDecay(0.5, 0.3, 0.5), ExponentialDecay(0.4, 0.25, 0.5), Coulomb(0.3)
