@@ -432,21 +432,11 @@ class MechanicalCells(AbstractCells):
         **Arguments:** `name`: "stiffness", "mass", "damping", "coupling" or "coupling_damping".
         """
         total = self._matrix(name)
+        if total is None:
+            return np.zeros((self.d, self.d))
         if isinstance(total, list):
-            total = jnp.stack(
-                [
-                    jnp.stack(
-                        jnp.broadcast_arrays(*(jnp.zeros(()) if a is None else a for a in row)), -1
-                    )
-                    for row in total
-                ],
-                -2,
-            )
-        return (
-            np.zeros((self.d, self.d))
-            if total is None
-            else np.asarray(total).reshape(-1, self.d, self.d)[0]
-        )
+            return np.array([[0.0 if a is None else np.ravel(a)[0] for a in row] for row in total])
+        return np.asarray(total).reshape(-1, self.d, self.d)[0]
 
     def _selector(self, name: str) -> Callable[[Any], Any]:
         if self.plus is None or name not in self.plus:

@@ -326,7 +326,7 @@ def drawn_cells(model: MechanicalCells) -> DrawnCells:
             )
         else:
             links.append(Link("stop", blocks[0], blocks[-1], name))
-        if not _is_plain(stop):
+        if not _is_plain(stop) or (len(blocks) > 1 and stop.direction[blocks[0]] < 0):
             gap = name.strip("$")
             notes.append(rf"Stop {k + 1}: ${_formula(stop.direction)} \leq {gap}$.")
     links += _forces(model)

@@ -19,7 +19,7 @@ from ..model.friction import AbstractFriction, TanhFriction
 from ..model.mechanical import MechanicalCells
 from ..model.parameters import SPEED
 from ..model.units import Scales
-from .cells import drawn_cells
+from .cells import DrawnCells, drawn_cells
 from .colours import BLUE, GREY, ORANGE, RED
 from .style import PAGE_WIDTH, STYLE, add_legend, axis, check_scales, on_axes
 from .symbols import (
@@ -92,37 +92,39 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
             f"its friction, but is {shown(axes)}."
         )
     with matplotlib.rc_context(STYLE):
-        contacts = model.frictional_contacts
-        if axes is None:
-            width, height = (2.05, 1.0) if cells is None else (cells.width, cells.height)
-            scale = min(_SCALE, PAGE_WIDTH / width)
-            high, beside = scale * height + 0.3, scale * width + _LAW <= PAGE_WIDTH
-            size, ratios = (PAGE_WIDTH, high + HEIGHT), {"height_ratios": (high, HEIGHT)}
-            if cells is None:
-                size, ratios = (PAGE_WIDTH, HEIGHT), {"width_ratios": (width, height)}
-            elif not contacts:
-                size, ratios = (scale * width, high), {}
-            elif beside:
-                size = scale * width + _LAW, max(HEIGHT, high)
-                ratios = {"width_ratios": (scale * width, _LAW)}
-            page = Figure(figsize=size, layout="constrained")
-            grid = (1, 2 if contacts else 1) if beside or not contacts else (2, 1)
-            axes = page.subplots(*grid, **ratios)
-            if grid == (2, 1):
-                axes[1].set_box_aspect(0.6)
-        left, *others = np.ravel(axes)
+        left, *others = np.ravel(_panels(model, cells) if axes is None else axes)
         if cells is None:
             draw_mechanism(left, model, int(masses))
         else:
             cells.draw(left)
         for right in others:
-            if contacts:
+            if model.frictional_contacts:
                 draw_friction(right, model)
             else:
                 right.set_axis_off()
-        for letter, panel in zip("ab", [left, *others][: 1 + bool(contacts)], strict=False):
+        shown_panels = [left, *others] if model.frictional_contacts else [left]
+        for letter, panel in zip("ab", shown_panels, strict=False):
             panel.set_title(f"({letter})", loc="left", fontweight="bold")
     return left.get_figure(root=True)
+
+
+def _panels(model: Any, cells: DrawnCells | None) -> Any:
+    """The axes of a new page: mechanism and law beside each other, or one below the other."""
+    how: Any = {"layout": "constrained"}
+    if cells is None:
+        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), **how)
+        return page.subplots(1, 2, width_ratios=(2.05, 1.0))
+    scale = min(_SCALE, PAGE_WIDTH / cells.width)
+    wide, high = scale * cells.width, scale * cells.height + 0.3
+    if not model.frictional_contacts:
+        return Figure(figsize=(wide, high), **how).subplots()
+    if wide + _LAW <= PAGE_WIDTH:
+        page = Figure(figsize=(wide + _LAW, max(HEIGHT, high)), **how)
+        return page.subplots(1, 2, width_ratios=(wide, _LAW))
+    page = Figure(figsize=(PAGE_WIDTH, high + HEIGHT), **how)
+    axes = page.subplots(2, 1, height_ratios=(high, HEIGHT))
+    axes[1].set_box_aspect(0.6)
+    return axes
 
 
 def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:

@@ -292,7 +292,8 @@ def _meanings(kind: type, names: list[str]) -> Iterator[tuple[str, str]]:
     text = (inspect.getdoc(kind) or "").partition("**Arguments")[2].partition("\n\n**Raises")[0]
     first = {text.find(f"`{name}`"): name for name in names if f"`{name}`" in text}
     for start, stop in itertools.pairwise([*sorted(first), len(text)]):
-        said = text[start:stop].removeprefix(f"`{first[start]}`").partition("\n\n")[0]
+        said = text[start:stop].removeprefix(f"`{first[start]}`")
+        said = re.split(r"\n\n|\n- ", said)[0]
         said = re.sub(r"( and|[\s,;:-])+$", "", " ".join(said.split()).lstrip(" ,:="))
         yield first[start], said.replace("None", "absent")
 
@@ -410,8 +411,6 @@ class TabulatedTable(_FromFile):
     """mu(s) through measured points, constant beyond the last: a file, or two lists."""
 
     lists = "speed", "mu"
-    read = staticmethod(read_curve)
-
     law: Literal["tabulated"]
     """Which one."""
     speed: _Points = Field(default_factory=list)
@@ -419,6 +418,11 @@ class TabulatedTable(_FromFile):
     mu: _Points = Field(default_factory=list)
     """Friction coefficient at each of them."""
     width: _Width = None
+
+    @classmethod
+    def read(cls, file: Path) -> tuple[list[float], list[float]]:
+        """Both columns."""
+        return read_curve(file)
 
 
 class CustomLawTable(Table):

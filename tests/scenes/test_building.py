@@ -591,7 +591,7 @@ def test_a_scene_of_cells_with_contacts_and_stops_is_the_sweep_of_that_model(
     assert data.attrs["model"] == "dry"
     # The copy of the scene needs no file of the signal, and goes on where a run was cut off.
     (tmp_path / "push.csv").unlink()
-    kept = load_scene(str(folder)).scene.experiment["blocks"].model.force
+    kept = load_scene(str(folder)).scene.experiment["blocks"].cells.force
     assert (kept.file, kept.values) == (None, PUSH)
     shutil.rmtree(folder / "blocks.zarr")
     assert cli.main(["resume", str(folder), "--no-plot", "--quiet"]) == 0
