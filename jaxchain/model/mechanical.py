@@ -191,7 +191,9 @@ class MechanicalCells(AbstractCells):
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
     names: tuple[str, ...] | None = eqx.field(
-        converter=lambda names: None if names is None else tuple(names), static=True, default=None
+        converter=lambda names: tuple(names) if isinstance(names, list) else names,
+        static=True,
+        default=None,
     )
     n: int | None = eqx.field(static=True, default=None)
     coupling_damping: Matrix | None = eqx.field(
