@@ -328,7 +328,9 @@ class Chain(AbstractOscillators):
         """p mu_st: masses are 1."""
         return self.static_limit()
 
-    def excess_force(self, t: Any, left: State, own: State, right: State) -> Float[Array, " n"]:
+    def excess_force(
+        self, t: Any, left: State, own: State, right: State, contact: int = 0
+    ) -> Float[Array, " n"]:
         """|r| - p mu_st with r the `free_force`; with dry friction a mass with w = 0 sticks."""
         if self.dry:
             return super().excess_force(t, left, own, right)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -138,6 +139,11 @@ class Contact(PrintedAsCall, eqx.Module):
     def speed_at(self, t: Any) -> Any:
         """v_d."""
         return self.belt_speed(t) if self.moving else self.belt_speed
+
+    def acceleration_at(self, t: Any) -> Any:
+        """v_d' of a belt that is moving."""
+        now = jnp.asarray(t, float)
+        return jax.jvp(self.speed_at, (now,), (jnp.ones_like(now),))[1]
 
     def load_at(self, t: Any, y: State) -> Any:
         """p, at least 0: where a function is negative the contact has lifted off."""

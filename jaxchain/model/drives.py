@@ -28,6 +28,7 @@ from .._checks import (
     to_float,
 )
 from .._printing import PrintedAsCall
+from .measured import read_rows
 
 
 class Table(PrintedAsCall, eqx.Module):
@@ -106,22 +107,13 @@ class Table(PrintedAsCall, eqx.Module):
         **Raises:** `ValueError` for anything else; `OSError` if the file does not exist.
         """
         check_kind("path", path, str | Path, "the name of a file")
-        text = Path(path).read_text(encoding="utf-8-sig").replace(";", " ").replace(",", " ")
-        lines = [line.partition("#")[0].split() for line in text.splitlines()]
-        rows = [line for line in lines if line]
         try:
-            try:
-                numbers = [[*map(float, row)] for row in rows]
-            except ValueError:
-                numbers = [[*map(float, row)] for row in rows[1:]]
-            table: Any = np.asarray(numbers, float)
-        except ValueError:
-            table = np.zeros(0)
-        if table.ndim != 2 or table.shape[1] < 2:
+            table = np.array(read_rows(path, "numbers, a time and its values"))
+        except ValueError as error:
             raise ValueError(
-                f"Argument `path` = {path} must hold rows of numbers, a time and its values, as "
-                "many in each row."
-            )
+                "Argument `path` must hold rows of numbers, a time and its values, as many in "
+                f"each row, but {error}."
+            ) from None
         values = table[:, 1] if table.shape[1] == 2 else table[:, 1:]
         return cls(table[:, 0], values, period, kind)
 

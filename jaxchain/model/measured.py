@@ -8,33 +8,38 @@ from pathlib import Path
 import numpy as np
 
 
-def read_curve(path: str | Path) -> tuple[list[float], list[float]]:
-    """(speeds, friction coefficients) from two columns of a CSV file.
+def read_rows(path: str | Path, wanted: str, columns: int | None = None) -> list[list[float]]:
+    """The rows of numbers of a CSV file, of this many columns, or of equally many, at least two.
 
     Columns are separated by commas, semicolons or blanks.  The first line may be a heading; empty
     lines and text after a `#` are ignored.
 
-    **Raises:** `ValueError` with the line that is not a pair of numbers; `OSError` if the file
-    does not exist.
+    **Raises:** `ValueError` with the line that is not what is `wanted`; `OSError` if the file does
+    not exist.
     """
-    rows: list[tuple[float, float]] = []
-    lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
+    rows: list[list[float]] = []
     heading = True
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(Path(path).read_text(encoding="utf-8-sig").splitlines(), 1):
         parts = line.partition("#")[0].replace(",", " ").replace(";", " ").split()
         if not parts:
             continue
         try:
-            speed, mu = map(float, parts)
+            row = [*map(float, parts)]
         except ValueError:
-            if not heading:
-                raise ValueError(
-                    f"line {number} of {path} must be two numbers, speed and friction "
-                    f"coefficient, but is {line.strip()!r}"
-                ) from None
-        else:
-            rows.append((speed, mu))
+            row = []
+        if len(row) == (columns or (len(rows[0]) if rows else max(2, len(row)))):
+            rows.append(row)
+        elif not heading:
+            raise ValueError(f"line {number} of {path} must be {wanted}, but is {line.strip()!r}")
         heading = False
+    if not rows:
+        raise ValueError(f"{path} holds no rows of {wanted}")
+    return rows
+
+
+def read_curve(path: str | Path) -> tuple[list[float], list[float]]:
+    """(speeds, friction coefficients) from two columns of a CSV file, see `read_rows`."""
+    rows = read_rows(path, "two numbers, speed and friction coefficient", 2)
     return [speed for speed, _ in rows], [mu for _, mu in rows]
 
 

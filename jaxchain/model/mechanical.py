@@ -190,7 +190,11 @@ class MechanicalCells(AbstractCells):
     frequency: Array | None = eqx.field(converter=optional("frequency"), default=None)
     sliding: int = eqx.field(static=True, default=0)
     ends: Ends = eqx.field(static=True, default="cyclic")
-    names: tuple[str, ...] | None = eqx.field(static=True, default=None)
+    names: tuple[str, ...] | None = eqx.field(
+        converter=lambda names: tuple(names) if isinstance(names, list) else names,
+        static=True,
+        default=None,
+    )
     n: int | None = eqx.field(static=True, default=None)
     coupling_damping: Matrix | None = eqx.field(
         converter=optional("coupling_damping"), default=None
@@ -424,6 +428,18 @@ class MechanicalCells(AbstractCells):
                 total = _plus_scaled(total, added.factor, _of_size(added.matrices[name], self.d))
         return total
 
+    def dense(self, name: str) -> np.ndarray:
+        """A matrix of the first cell with what `plus` adds, of shape (d, d); 0 if there is none.
+
+        **Arguments:** `name`: "stiffness", "mass", "damping", "coupling" or "coupling_damping".
+        """
+        total = self._matrix(name)
+        if total is None:
+            return np.zeros((self.d, self.d))
+        if isinstance(total, list):
+            return np.array([[0.0 if a is None else np.ravel(a)[0] for a in row] for row in total])
+        return np.asarray(total).reshape(-1, self.d, self.d)[0]
+
     def _selector(self, name: str) -> Callable[[Any], Any]:
         if self.plus is None or name not in self.plus:
             return super()._selector(name)
@@ -585,15 +601,23 @@ class MechanicalCells(AbstractCells):
         only = self._only_contact()
         return None if only is None else only.friction.stick_speed()
 
-    def excess_force(self, t: Any, left: State, own: State, right: State) -> PerMass:
-        """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry."""
-        only = self._only_contact()
-        if only is None or only.dry:
+    def excess_force(
+        self, t: Any, left: State, own: State, right: State, contact: int = 0
+    ) -> PerMass:
+        """|r| - p mu_st with r the force that would hold a contact; -inf if friction is dry.
+
+        r = (e . M^{-1} h - v_d') / (e . M^{-1} e), where h has the friction of the others, too.
+        """
+        contacts = self.frictional_contacts
+        if not contacts or self.dry:
             return super().excess_force(t, left, own, right)
-        free, share = self.free_acceleration(t, left, own, right), self.inverse_mass(only)
-        u: Any = only.displacement
-        limit = only.load_at(t, own) * only.law.mu_static
-        return jnp.abs(free[u] / share[u]) - limit
+        one, others = contacts[contact], contacts[:contact] + contacts[contact + 1 :]
+        free = self._slowed(self.free_acceleration(t, left, own, right), t, own, others)
+        pull = along(one.direction, free)
+        if one.moving:
+            pull = pull - one.acceleration_at(t)
+        limit = one.load_at(t, own) * one.law.mu_static
+        return jnp.abs(pull / along(one.direction, self._reach(one))) - limit
 
     def release_acceleration(self) -> PerMass | None:
         """p mu_st times its share b_u of the contact; None without smoothed friction."""
@@ -697,14 +721,18 @@ class MechanicalCells(AbstractCells):
         return tuple(_solve(self._matrix("mass"), forces))
 
     def rate(self, t: ScalarLike, left: State, own: State, right: State) -> Parts:
-        v, accelerations = own[self.d :], self.free_acceleration(t, left, own, right)
-        for contact in self.frictional_contacts:
+        free = self.free_acceleration(t, left, own, right)
+        return (*own[self.d :], *self._slowed(free, t, own, self.frictional_contacts))
+
+    def _slowed(self, accelerations: Parts, t: Any, own: State, contacts: Any) -> Parts:
+        """Accelerations with the friction of these contacts."""
+        for contact in contacts:
             friction = contact.load_at(t, own) * contact.friction.force(contact.slip(t, own))
             accelerations = tuple(
                 a if share is None else a + share * friction
                 for a, share in zip(accelerations, self.inverse_mass(contact), strict=True)
             )
-        return (*v, *accelerations)
+        return accelerations
 
 
 def _extreme(of: Callable[[Any, Any], Any], values: Sequence[Any]) -> Any:

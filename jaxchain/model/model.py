@@ -200,12 +200,14 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         pairs = [neighbours(part, ends) for part in y]
         return tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)
 
-    def excess_force(self, t: Any, left: State, own: State, right: State) -> PerMass:
+    def excess_force(
+        self, t: Any, left: State, own: State, right: State, contact: int = 0
+    ) -> PerMass:
         """The force on a mass minus the greatest friction force; negative if friction can hold it.
 
-        A mass does not stick if this is positive.
+        A mass does not stick if this is positive.  Of several contacts this is the one `contact`.
         """
-        del t, left, right
+        del t, left, right, contact
         return jnp.full_like(own[0], -jnp.inf)
 
     def release_acceleration(self) -> PerMass | None:

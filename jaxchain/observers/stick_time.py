@@ -25,8 +25,8 @@ class StickTime(AbstractObserver):
     be shorter. The ends of sticking are located between steps. Value: shape (n,), a dimensionless
     time. With dry friction a mass sticks while w = v - v_d is 0. With a smoothed law it sticks
     while |w| is below the speed of greatest friction, `TanhFriction.stick_speed`, *and* the force
-    on it, without friction, does not exceed p mu_st. The speed alone would give a time too long by
-    sqrt[eps ln(1 / eps)], because a released mass leaves the belt like t^2.
+    on it, without this friction, does not exceed p mu_st. The speed alone would give a time too
+    long by sqrt[eps ln(1 / eps)], because a released mass leaves the belt like t^2.
 
     **Arguments:** `window`, its length in dimensionless time; `contact`, which one of the several
     contacts of a cell, counted from 0.
@@ -54,12 +54,12 @@ class StickTime(AbstractObserver):
         self, field: AbstractModel, t0: ScalarLike, t1: ScalarLike, y0: State
     ) -> tuple[Array, Array]:
         contacts = field.frictional_contacts
-        if field.stick_speed() is None and not (field.dry and contacts):
+        if not contacts:
             raise ValueError(
                 "`StickTime` needs masses that can stick to a belt: a `Chain`, or "
-                "`MechanicalCells` with friction, which of several contacts must be dry."
+                "`MechanicalCells` with friction."
             )
-        if self.contact >= max(len(contacts), 1):
+        if self.contact >= len(contacts):
             raise ValueError(
                 f"Argument `contact` = {self.contact} must be less than the number of contacts, "
                 f"{len(contacts)}: they are counted from 0."
@@ -98,12 +98,13 @@ class StickTime(AbstractObserver):
 def sticking(step: Step, contact: int = 0) -> tuple[Array, Array]:
     """The part of a step during which each mass sticks, as thetas from and to."""
     field: Any = step.field
-    limit: Any = field.stick_speed()
+    one = field.frictional_contacts[contact]
+    if field.dry:  # steps end at events
+        held = _held(step, one)
+        return jnp.zeros(held.shape), jnp.where(held, 1.0, 0.0)
 
     def too_fast(theta: Any) -> Array:
-        switching = field.switching(step.t0, step.part(theta, field.contact))
-        assert switching is not None  # what can stick switches
-        return jnp.abs(switching[0]) - limit
+        return jnp.abs(_slip(step, one, theta)) - one.friction.stick_speed()
 
     def excess(theta: Any) -> Array:
         # A neighbour at the time of this mass: its own theta is that of its neighbour.
@@ -116,12 +117,10 @@ def sticking(step: Step, contact: int = 0) -> tuple[Array, Array]:
                 (alone & (at_end == theta.size - 1), field.neighbours(step.state(behind))[1]),
             )
         )
-        return field.excess_force(step.t0 + theta * (step.t1 - step.t0), left, own, right)
+        t = step.t0 + theta * (step.t1 - step.t0)
+        return field.excess_force(t, left, own, right, contact)
 
     alone = field.ends == "free"
-    if field.dry:  # steps end at events
-        held = _held(step, step.field.frictional_contacts[contact])
-        return jnp.zeros(held.shape), jnp.where(held, 1.0, 0.0)
     begin, end = _where_negative(too_fast, step.y0[0])
     caught, released = _where_negative(excess, step.y0[0])
     return jnp.maximum(begin, caught), jnp.minimum(end, released)
@@ -132,18 +131,22 @@ def sticking(step: Step, contact: int = 0) -> tuple[Array, Array]:
 _CREEP, _ROUNDING = 1e-6, 1e-11
 
 
+def _slip(step: Step, contact: Any, theta: Array) -> Array:
+    """w of a contact within a step."""
+    d = len(step.y0) // 2
+    v = [step.part(theta, d + i) if e else theta for i, e in enumerate(contact.direction)]
+    return along(contact.direction, v) - contact.speed_at(step.t0 + theta * (step.t1 - step.t0))
+
+
 def _held(step: Step, contact: Any) -> Array:
     """Which masses stick throughout a step of a dry run: they have the belt's speed at both ends.
 
     Between these the series of a belt whose speed changes errs by the tolerance.
     """
-    d, least, still = len(step.y0) // 2, 0.0, 0.0
+    least, still = 0.0, 0.0
 
     def slip(theta: float) -> Array:
-        at = jnp.full_like(step.y0[0], theta)
-        v = [step.part(at, d + i) if e else at for i, e in enumerate(contact.direction)]
-        t = step.t0 + theta * (step.t1 - step.t0)
-        return along(contact.direction, v) - contact.speed_at(t)
+        return _slip(step, contact, jnp.full_like(step.y0[0], theta))
 
     w0, w1 = contact.slip(step.t0, step.y0), contact.slip(step.t1, step.y1)
     unit = step.field.natural_scales()[1] + jnp.abs(contact.speed_at(step.t0))

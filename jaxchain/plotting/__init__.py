@@ -1,6 +1,7 @@
 """Pictures of the model, of sweeps, branches and runs; films.
 
 - `branches`: a branch with its stability and its special points
+- `cells`: a mechanical cell: blocks, springs and dashpots, contacts, stops
 - `colours`: the colours of all figures
 - `diagram`: what a bifurcation diagram shows beside its points
 - `fits`: the profile likelihood of a fitted number
@@ -13,6 +14,7 @@
 - `states`: localized states: amplitudes, delays, time series and orbits
 - `style`: page width, colours, symbols, labels of axes, files of figures
 - `sweeps`: amplitude or energy over a swept number, also in panels
+- `symbols`: springs, dashpots, belts and arrows
 """
 
 import lazy_loader

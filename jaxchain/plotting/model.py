@@ -9,35 +9,42 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyArrowPatch, FancyBboxPatch, Rectangle
+from matplotlib.patches import Rectangle
 
 from .._checks import check_kind, check_positive_number, check_whole, shown
 from .._types import Given, ScalarLike
-from ..model.arguments import as_chain
+from ..model.arguments import as_chain, as_model
 from ..model.chain import Chain, map_numbers, paper_chain
 from ..model.friction import AbstractFriction, TanhFriction
+from ..model.mechanical import MechanicalCells
 from ..model.parameters import SPEED
 from ..model.units import Scales
+from .cells import DrawnCells, drawn_cells
 from .colours import BLUE, GREY, ORANGE, RED
 from .style import PAGE_WIDTH, STYLE, add_legend, axis, check_scales, on_axes
+from .symbols import (
+    BOLD,
+    FACE,
+    RADIUS,
+    STROKE,
+    arrow,
+    draw_belt,
+    draw_ceiling,
+    draw_dashpot,
+    name_at,
+    zigzag,
+)
 
-HEIGHT = 2.45  # inches
+# Inches: height of the page of a chain, width of the panel of the law, a unit of mechanical cells.
+HEIGHT, _LAW, _SCALE = 2.45, 2.3, 0.42
 # The mechanism, in widths of a mass: pitch and height of the masses, rows of the links.
 _PITCH, _TALL = 2.8, 1.7
 _SPRING, _DASHPOT, _COUPLING, _CEILING = 1.4, 0.88, 0.28, 3.05
 _POST = 0.5  # from a mass to the post that holds the next one
-_RADIUS = 0.34
-_STROKE: dict[str, Any] = {
-    "color": "black",
-    "linewidth": 0.9,
-    "solid_joinstyle": "round",
-    "solid_capstyle": "round",
-}
-_BOLD: dict[str, Any] = _STROKE | {"linewidth": 1.6}
 
 
 def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
-    """Draws the chain on its belt, as in Figure 2 of the paper, and its friction law.
+    """Draws a chain on its belt, as in Figure 2 of the paper, or a mechanical cell, and friction.
 
     (a) Masses m on a belt with speed v_d, each with a load P, a spring k and a dashpot c to the
     ground, and springs k_c to its neighbours; a dashed line closes a ring. (b) F / P against v_rel
@@ -45,12 +52,18 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
     law of a smoothed chain (magnified in the inset), and steady sliding, v_rel = -v_d.  If the
     laws differ, that of mass 1 is drawn.
 
-    **Arguments:** `chain`, by default that of the paper; `masses`, the number of masses to draw,
-    1 ... 6; `axes`, a pair of matplotlib axes, by default those of a new figure of a page's width.
+    Of `MechanicalCells` (a) is one cell: a block for each displacement, the springs and dashpots
+    that its matrices amount to (dashed if negative), contacts with a belt or between two blocks,
+    stops, forces and what joins the cells; (b) the law of the first contact, if there is one.
+    Contacts and stops count from 1, and a line below says what symbols do not.
+
+    **Arguments:** `chain`, or `MechanicalCells` of at most 6 displacements, by default the chain
+    of the paper; `masses`, the number of masses of a chain to draw, 1 ... 6; `axes`, a pair of
+    matplotlib axes, by default those of a new figure of a page's width.
 
     **Returns:** the figure; see `jaxchain.plotting.save_figure`.
 
-    **Raises:** `ValueError` for another chain, number or axes.
+    **Raises:** `ValueError` for another model, number or axes.
 
     Source: eq. (1) - (3) and Figure 2 of "Multiple spatially localized dynamical states in
     friction-excited oscillator chains".
@@ -64,7 +77,12 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
         >>> [panel.get_title(loc="left") for panel in page.axes]
         ['(a)', '(b)']
     """
-    chain = as_chain(paper_chain() if chain is None else chain)
+    model: Any = paper_chain() if chain is None else chain
+    check_kind("chain", model, Chain | MechanicalCells, "a `Chain` or `MechanicalCells`")
+    as_model(model, name="chain")
+    cells = None if isinstance(model, Chain) else drawn_cells(model)
+    if cells is None:
+        as_chain(model)
     check_whole("masses", masses, 1, 6, "more are not legible. 4 is usual.")
     if axes is not None and (
         len(np.ravel(axes)) != 2 or not all(isinstance(panel, Axes) for panel in np.ravel(axes))
@@ -74,31 +92,39 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
             f"its friction, but is {shown(axes)}."
         )
     with matplotlib.rc_context(STYLE):
-        if axes is None:
-            page = Figure(figsize=(PAGE_WIDTH, HEIGHT), layout="constrained")
-            axes = page.subplots(1, 2, width_ratios=(2.05, 1.0))
-        left, right = np.ravel(axes)
-        draw_mechanism(left, chain, int(masses))
-        draw_friction(right, chain)
-        for letter, panel in zip("ab", (left, right), strict=True):
+        left, *others = np.ravel(_panels(model, cells) if axes is None else axes)
+        if cells is None:
+            draw_mechanism(left, model, int(masses))
+        else:
+            cells.draw(left)
+        for right in others:
+            if model.frictional_contacts:
+                draw_friction(right, model)
+            else:
+                right.set_axis_off()
+        shown_panels = [left, *others] if model.frictional_contacts else [left]
+        for letter, panel in zip("ab", shown_panels, strict=False):
             panel.set_title(f"({letter})", loc="left", fontweight="bold")
     return left.get_figure(root=True)
 
 
-def zigzag(
-    start: Any, end: Any, coils: int = 5, swing: float = 0.12, lead: float = 0.15
-) -> tuple[np.ndarray, np.ndarray]:
-    """The x and y of a spring from `start` to `end`, straight for a share `lead` at both ends."""
-    start, end = np.asarray(start, float), np.asarray(end, float)
-    along = end - start
-    length = np.hypot(*along)
-    across = np.array([-along[1], along[0]]) / (length if length > 0 else 1.0)
-    corners = np.arange(2 * coils)
-    share = np.concatenate([[0.0, lead], lead + (1 - 2 * lead) * (corners + 0.5) / (2 * coils)])
-    share = np.concatenate([share, [1 - lead, 1.0]])
-    offset = np.concatenate([[0.0, 0.0], swing * (-1.0) ** corners, [0.0, 0.0]])
-    x, y = (start[i] + share * along[i] + offset * across[i] for i in range(2))
-    return x, y
+def _panels(model: Any, cells: DrawnCells | None) -> Any:
+    """The axes of a new page: mechanism and law beside each other, or one below the other."""
+    how: Any = {"layout": "constrained"}
+    if cells is None:
+        page = Figure(figsize=(PAGE_WIDTH, HEIGHT), **how)
+        return page.subplots(1, 2, width_ratios=(2.05, 1.0))
+    scale = min(_SCALE, PAGE_WIDTH / cells.width)
+    wide, high = scale * cells.width, scale * cells.height + 0.3
+    if not model.frictional_contacts:
+        return Figure(figsize=(wide, high), **how).subplots()
+    if wide + _LAW <= PAGE_WIDTH:
+        page = Figure(figsize=(wide + _LAW, max(HEIGHT, high)), **how)
+        return page.subplots(1, 2, width_ratios=(wide, _LAW))
+    page = Figure(figsize=(PAGE_WIDTH, high + HEIGHT), **how)
+    axes = page.subplots(2, 1, height_ratios=(high, HEIGHT))
+    axes[1].set_box_aspect(0.6)
+    return axes
 
 
 def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
@@ -130,8 +156,8 @@ def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
     numbers = [*range(1, shown), chain.n] if left_out else list(range(1, shown + 1))
     middles = [0.5 + _PITCH * i for i in range(shown)]
     first, last = middles[0] - 0.5 - (_PITCH - 1.0 - _POST), middles[-1] + 1.4
-    _draw_ceiling(axes, first - 0.2, last - 0.1)
-    _draw_belt(axes, first - 0.2, last + 0.2, float(chain.belt_speed))
+    draw_ceiling(axes, first - 0.2, last - 0.1, _CEILING)
+    draw_belt(axes, first - 0.2, last + 0.2, float(chain.belt_speed))
     for i, (number, middle) in enumerate(zip(numbers, middles, strict=True)):
         broken = left_out and i == shown - 1
         _draw_mass(axes, middle, "N" if broken else str(number))
@@ -140,15 +166,15 @@ def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
             continue
         from_, to = middle - _PITCH + 0.5, middle - 0.5
         if not broken:
-            axes.plot(*zigzag((from_, _COUPLING), (to, _COUPLING), coils=6), **_STROKE)
+            axes.plot(*zigzag((from_, _COUPLING), (to, _COUPLING), coils=6), **STROKE)
         else:
             for a, b in ((from_, from_ + 0.65), (to - 0.65, to)):
-                axes.plot(*zigzag((a, _COUPLING), (b, _COUPLING), coils=2), **_STROKE)
+                axes.plot(*zigzag((a, _COUPLING), (b, _COUPLING), coils=2), **STROKE)
         if i == 1:
-            _name(axes, from_ + 0.06, _COUPLING + 0.14, "$k_c$", ha="left")
+            name_at(axes, from_ + 0.06, _COUPLING + 0.14, "$k_c$", ha="left")
     if left_out:
         middle = middles[-1] - _PITCH / 2
-        _name(axes, middle, _COUPLING, "…", size=11.0, va="center")
+        name_at(axes, middle, _COUPLING, "…", size=11.0, va="center")
     if chain.coupling is not None and chain.ends == "cyclic" and chain.n > 1:
         _draw_closing(axes, middles[0] - 0.5, middles[-1] + 0.5, first, last)
     axes.set_xlim(first - 0.75, last + 0.75)
@@ -157,112 +183,54 @@ def draw_mechanism(axes: Axes, chain: Chain, masses: int) -> None:
     axes.set_axis_off()
 
 
-def _draw_ceiling(axes: Axes, start: float, end: float) -> None:
-    axes.add_patch(
-        Rectangle(
-            (start, _CEILING),
-            end - start,
-            0.22,
-            facecolor="white",
-            edgecolor=GREY,
-            hatch="//////",
-            linewidth=0,
-        )
-    )
-    axes.plot([start, end], [_CEILING, _CEILING], **_STROKE)
-
-
 def _draw_mass(axes: Axes, middle: float, number: str) -> None:
     axes.add_patch(
         Rectangle(
             (middle - 0.5, 0.0),
             1.0,
             _TALL,
-            facecolor="#cfe3f1",
+            facecolor=FACE,
             edgecolor="black",
             linewidth=0.9,
             zorder=3,
         )
     )
-    _name(axes, middle, _TALL / 2, "$m$", va="center")
+    name_at(axes, middle, _TALL / 2, "$m$", va="center")
     # The load P from above, and the displacement x_n from a mark on the mass.
-    axes.add_patch(_arrow((middle - 0.22, _TALL + 0.72), (middle - 0.22, _TALL + 0.02), RED))
-    _name(axes, middle - 0.32, _TALL + 0.5, "$P$", ha="right", color=RED)
-    axes.plot([middle + 0.12] * 2, [_TALL + 0.06, _TALL + 0.4], **_STROKE)
-    axes.add_patch(_arrow((middle + 0.12, _TALL + 0.27), (middle + 0.85, _TALL + 0.27), "black"))
-    _name(axes, middle + 0.42, _TALL + 0.36, f"$x_{{{number}}}$")
+    axes.add_patch(arrow((middle - 0.22, _TALL + 0.72), (middle - 0.22, _TALL + 0.02), RED))
+    name_at(axes, middle - 0.32, _TALL + 0.5, "$P$", ha="right", color=RED)
+    axes.plot([middle + 0.12] * 2, [_TALL + 0.06, _TALL + 0.4], **STROKE)
+    axes.add_patch(arrow((middle + 0.12, _TALL + 0.27), (middle + 0.85, _TALL + 0.27), "black"))
+    name_at(axes, middle + 0.42, _TALL + 0.36, f"$x_{{{number}}}$")
 
 
 def _draw_ground(axes: Axes, middle: float, named: bool) -> None:
     """The post on the left of a mass, with its spring and dashpot."""
     post, side = middle - _PITCH + 0.5 + _POST, middle - 0.5
-    axes.plot([post, post], [_CEILING, _DASHPOT - 0.16], **_BOLD)
-    axes.plot(*zigzag((post, _SPRING), (side, _SPRING)), **_STROKE)
-    # The cup is open to the right, where the piston enters.
-    cup, mouth = post + 0.5 * (side - post) - 0.28, post + 0.5 * (side - post) + 0.2
-    axes.plot([post, cup], [_DASHPOT] * 2, **_STROKE)
-    axes.plot([mouth, cup, cup, mouth], _DASHPOT + np.array([0.15, 0.15, -0.15, -0.15]), **_STROKE)
-    axes.plot([cup + 0.24] * 2, [_DASHPOT - 0.1, _DASHPOT + 0.1], **_BOLD)
-    axes.plot([cup + 0.24, side], [_DASHPOT] * 2, **_STROKE)
+    axes.plot([post, post], [_CEILING, _DASHPOT - 0.16], **BOLD)
+    axes.plot(*zigzag((post, _SPRING), (side, _SPRING)), **STROKE)
+    draw_dashpot(axes, post, side, _DASHPOT)
     if named:
-        _name(axes, (post + side) / 2, _SPRING + 0.17, "$k$")
-        _name(axes, post - 0.14, _DASHPOT, "$c$", ha="right", va="center")
-
-
-def _draw_belt(axes: Axes, start: float, end: float, belt_speed: float) -> None:
-    axes.add_patch(
-        FancyBboxPatch(
-            (start, -2 * _RADIUS),
-            end - start,
-            2 * _RADIUS - 0.02,
-            facecolor="#eeeeee",
-            boxstyle=f"round,pad=0,rounding_size={_RADIUS - 0.02}",
-            edgecolor="black",
-            linewidth=1.4,
-            zorder=1,
-        )
-    )
-    for middle in (start + _RADIUS, end - _RADIUS):
-        axes.plot(
-            middle, -_RADIUS, "o", color="white", markeredgecolor="black", markeredgewidth=0.9,
-            markersize=9, zorder=2,
-        )  # fmt: skip
-        axes.plot(middle, -_RADIUS, "o", color="black", markersize=1.8, zorder=2)
-    middle, half = (start + end) / 2, 0.75 if belt_speed >= 0 else -0.75
-    axes.add_patch(_arrow((middle - half, -_RADIUS), (middle + half, -_RADIUS), BLUE, 1.4))
-    _name(axes, middle + abs(half) + 0.15, -_RADIUS, "$v_d$", ha="left", va="center", color=BLUE)
+        name_at(axes, (post + side) / 2, _SPRING + 0.17, "$k$")
+        name_at(axes, post - 0.14, _DASHPOT, "$c$", ha="right", va="center")
 
 
 def _draw_closing(axes: Axes, left: float, right: float, first: float, last: float) -> None:
     """The spring between the last mass and the first, round below the belt."""
-    low = -2 * _RADIUS - 0.55
+    low = -2 * RADIUS - 0.55
     middle = (first + last) / 2
     dashed: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 2))}
     a, b = first - 0.45, last + 0.45
     axes.plot([left, a, a, middle - 0.6], [_COUPLING, _COUPLING, low, low], **dashed)
     axes.plot([right, b, b, middle + 0.6], [_COUPLING, _COUPLING, low, low], **dashed)
-    axes.plot(*zigzag((middle - 0.6, low), (middle + 0.6, low), coils=5), **_STROKE)
-    _name(axes, middle, low - 0.2, "$k_c$ closes the ring", va="top")
+    axes.plot(*zigzag((middle - 0.6, low), (middle + 0.6, low), coils=5), **STROKE)
+    name_at(axes, middle, low - 0.2, "$k_c$ closes the ring", va="top")
 
 
-def _arrow(start: Any, end: Any, color: str, width: float = 1.0) -> FancyArrowPatch:
-    return FancyArrowPatch(
-        start, end, arrowstyle="-|>", mutation_scale=7, color=color, linewidth=width,
-        shrinkA=0, shrinkB=0, zorder=5,
-    )  # fmt: skip
+def draw_friction(axes: Axes, model: Any) -> None:
+    """Draws F / P over the relative velocity: dry, and smoothed for a smoothed model.
 
-
-def _name(
-    axes: Axes, x: float, y: float, text: str, *, ha: str = "center", va: str = "bottom",
-    color: str = "black", size: float = 8.5,
-) -> None:  # fmt: skip
-    axes.text(x, y, text, ha=ha, va=va, color=color, fontsize=size, zorder=6)
-
-
-def draw_friction(axes: Axes, chain: Chain) -> None:
-    """Draws F / P over the relative velocity: dry, and smoothed for a smoothed chain.
-
-    **Arguments:** `axes`; `chain`, with the friction law.
+    **Arguments:** `axes`; `model`, a chain, or cells with friction; of several contacts the first.
 
     !!! example
 
@@ -278,18 +246,23 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
         ('dry', 'steady sliding')
     """
     check_kind("axes", axes, Axes, "matplotlib axes", "`Figure().subplots()` makes them.")
-    as_chain(chain)
-    law, friction, width = first_mass((chain.law, chain.friction, chain.width))
+    if not as_model(model).frictional_contacts:
+        raise ValueError(
+            f"Argument `model` must have friction, a `Chain` say, but is {shown(model)}."
+        )
+    contact = model.frictional_contacts[0]
+    law, friction, width = first_mass((contact.law, contact.friction, contact.width))
     width, static = float(width), float(law.mu_static)
-    v_d = float(chain.belt_speed)
+    v_d = float(jnp.ravel(contact.speed_at(0.0))[0])
     reach = max(1.25 * abs(v_d), 5 * width, 1.0)
-    w, mu = _draw_curves(axes, law, None if chain.dry else friction, reach)
+    w, mu = _draw_curves(axes, law, None if contact.dry else friction, reach)
     top = 1.28 * max(float(mu.max()), static, 1e-3)
     force = float(friction.force(jnp.asarray(-v_d)))
-    axes.plot(
-        -v_d, force, "s", color="white", markeredgecolor="black", markeredgewidth=0.9,
-        markersize=4.5, label="steady sliding", zorder=5,
-    )  # fmt: skip
+    if v_d and not contact.moving:
+        axes.plot(
+            -v_d, force, "s", color="white", markeredgecolor="black", markeredgewidth=0.9,
+            markersize=4.5, label="steady sliding", zorder=5,
+        )  # fmt: skip
     axes.axhline(0.0, color=GREY, linewidth=0.5, zorder=0)
     axes.axvline(0.0, color=GREY, linewidth=0.5, zorder=0)
     ticks = {0.0: "0", static: r"$\mu_{st}$", -static: r"$-\mu_{st}$"}
@@ -299,11 +272,12 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
             ticks[sign * float(dynamic)] = r"$\mu_d$" if sign > 0 else r"$-\mu_d$"
             axes.axhline(sign * float(dynamic), color=GREY, linewidth=0.6, linestyle=":", zorder=0)
     axes.set_yticks(list(ticks), list(ticks.values()))
-    apart = abs(v_d) > 0.15 * reach
+    apart = abs(v_d) > 0.15 * reach and not contact.moving
     axes.set_xticks([-v_d, 0.0] if apart else [0.0], [r"$-\tilde v_d$", "0"] if apart else ["0"])
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-top, top)
-    axes.set_xlabel(r"relative velocity $\tilde v_{rel} = \tilde x' - \tilde v_d$ (–)")
+    formula = "" if contact.displacement is None else r" = \tilde x' - \tilde v_d"
+    axes.set_xlabel(rf"relative velocity $\tilde v_{{rel}}{formula}$ (–)")
     axes.set_ylabel(r"friction force $\tilde F = F/P$ (–)")
     axes.tick_params(which="both", top=True, right=True)
     axes.legend(
@@ -313,7 +287,7 @@ def draw_friction(axes: Axes, chain: Chain) -> None:
     axes.text(0.04 * reach, 0.06 * top, "stick", fontsize=6.5)
     below = float(jnp.interp(0.5 * reach, jnp.asarray(w), jnp.asarray(mu))) + 0.06 * top
     axes.text(0.5 * reach, -below, "slip", ha="center", va="top", fontsize=6.5)
-    if not chain.dry:
+    if not contact.dry:
         _draw_layer(axes, friction, width, static)
 
 

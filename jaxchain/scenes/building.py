@@ -35,21 +35,21 @@ from .._checks import to_float
 from .._limits import MOST_LANES, MOST_STORED
 from .._spelling import did_you_mean
 from .._types import State
-from ..model import initial_states
+from ..model import drives, initial_states
 from ..model.arguments import as_state
 from ..model.cells import AbstractCells
 from ..model.chain import Chain
-from ..model.friction import AbstractFrictionLaw, TanhFriction
-from ..model.parameters import parameter
+from ..model.friction import AbstractFriction, AbstractFrictionLaw, TanhFriction
+from ..model.parameters import CHAIN, parameter
 from ..model.tabulated import TabulatedFriction
 from ..observers.base import AbstractObserver
 from ..observers.fronts import FrontTrack
-from ..simulation.event_driven import EventDriven
+from ..simulation.event_driven import EventDriven, as_dry
 from ..simulation.method import Method, fit_linear_solve
 from ..simulation.run import check_fit
 from ..sweeps.axes import check_axes
 from ..sweeps.ensemble import check_observers
-from .files import SceneError
+from .files import SceneError, as_key
 from .scene import MISSING, Experiment, LoadedScene
 from .tables import (
     FEWER,
@@ -105,12 +105,19 @@ def _at(path: str, swept: Sequence[str] = (), **keys: str) -> Iterator[None]:
         raise
     except (ValueError, OverflowError) as error:
         text = str(error)
-        found = re.match(r"Argument `(?:over\[')?(\w+)[^`]*` (?:names '(\w+)', which )?", text)
+        found = re.match(r"Argument `([^`]+)` (?:names '([^']+)', which )?", text)
         if found is None:
             raise _LocatedError(f"{path}: {text}") from error
-        name = found[2] or keys.get(found[1], found[1])
-        where = f"sweep.{name}" if found[2] or name in swept else f"{path}.{name}"
-        where = {"over": "sweep", "initial": "initial", "observe": path}.get(name, where)
+        # Such as over['width'], contacts[0].direction, plus['friction']['damping'].
+        over = re.match(r"over\['([^']+)'\]", found[1])
+        name = over[1] if over else re.sub(r"\['(\w+)'\]", r".\1", found[1])
+        name = found[2] or keys.get(name, name)
+        # The part of a model may name only its own field, which is swept by its full name.
+        whole = [own for own in swept if own == name or own.endswith(f".{name}")]
+        is_swept = found[2] or whole or over
+        where = f"sweep.{as_key((whole or [name])[0])}" if is_swept else f"{path}.{name}"
+        first = name.partition("[")[0]
+        where = {"over": "sweep", "initial": "initial", "observe": path}.get(first, where)
         raise _LocatedError(f"{where}: {text[found.end() :]}") from error
 
 
@@ -122,15 +129,19 @@ class _Builder:
         self.grid, self.n = experiment.grid(), experiment.cells.n
         self.first = {name: values[0].item() for name, values in self.grid.items()}
 
-    def make(self, kind: type[_Made], table: Mapping[str, Any], path: str, **more: Any) -> _Made:
-        """A law, a model or an observer, from the keys of its table and what is swept.
+    def make(
+        self, kind: type[_Made], table: Mapping[str, Any], path: str, prefix: str = "", **more: Any
+    ) -> _Made:
+        """A law, a model, a part of one or an observer, from the keys of its table and the sweep.
+
+        `prefix`: of the names of its parameters, such as "contacts[0].".
 
         **Raises:** `ValueError` for numbers that are not its fields, or are missing.
         """
         fields, chain = inspect.signature(kind).parameters, issubclass(kind, Chain)
         numbers = {name: value for name, value in table.items() if value is not None}
-        swept = [name for name in fields if name in self.first]
-        numbers |= {name: self.first[name] for name in swept} | more
+        swept = {name: self.first.get(prefix + name) for name in fields}
+        numbers |= {name: value for name, value in swept.items() if value is not None} | more
         if unknown := next((name for name in numbers if name not in fields), None):
             has = f"{did_you_mean(unknown, fields)}; its fields: {', '.join(fields) or 'none'}"
             raise _LocatedError(f"{path}.{unknown}: is not a field of {kind.__name__}{has}")
@@ -139,14 +150,36 @@ class _Builder:
             if required and name not in numbers:
                 raise _LocatedError(f"{path}.{name}: {MISSING}")
         made: Any = kind
-        with _at(path, swept):
+        with _at(path, [name for name in self.first if name.startswith(prefix)]):
             try:
                 return made(**numbers)
             except TypeError as error:
                 raise ValueError(f"{kind.__name__} cannot be made: {error}") from error
 
-    def friction(self, table: Any, path: str) -> TanhFriction:
-        """Smoothed friction."""
+    def part(self, given: Any, path: str, name: str, prefix: str = "") -> Any:
+        """The value of a key of a model: numbers as they are, and what its tables make."""
+        where, own = f"{path}.{name}", f"{prefix}{name}"
+        if isinstance(given, list) and isinstance(given[0], Table):
+            each = enumerate(given)
+            return [self.whole(one, f"{where}[{i}]", f"{own}[{i}].") for i, one in each]
+        if not isinstance(given, Table):
+            return given
+        if given.makes is drives.Table:
+            return self.whole(given, where, f"{own}.")
+        return self.friction(given, where, prefix)
+
+    def parts(self, table: Table, path: str, prefix: str = "") -> dict[str, Any]:
+        """The values of all keys of a model, or of a part of it, that are given."""
+        keys = {name: getattr(table, name) for name in type(table).model_fields}
+        keys |= table.model_extra or {}
+        return {k: self.part(v, path, k, prefix) for k, v in keys.items() if v is not None}
+
+    def whole(self, table: Table, path: str, prefix: str) -> Any:
+        """A contact, a stop or a drive."""
+        return self.make(table.makes, self.parts(table, path, prefix), path, prefix)
+
+    def friction(self, table: Any, path: str, prefix: str) -> AbstractFriction:
+        """Smoothed friction; the law itself without a width."""
         numbers = table.model_dump(exclude={"law", "file", "width"})
         kind = self.custom.law or LAWS.get(table.law, TabulatedFriction)
         numbers = {} if self.custom.law and table.law == "tabulated" else numbers
@@ -155,39 +188,44 @@ class _Builder:
                 f'{path}.law: is "custom", so the law must be named on the command line: '
                 "--law FILE.py:CLASS"
             )
-        law = self.make(kind, numbers, path)
-        return self.make(TanhFriction, {"width": table.width}, path, law=law)
+        law = self.make(kind, numbers, path, prefix)
+        width = self.first.get(f"{prefix}width", table.width)
+        if width is None and self.experiment.is_chain:
+            raise _LocatedError(f"{path}.width: {MISSING}")
+        if width is None:
+            return law
+        return self.make(TanhFriction, {"law": law, "width": width}, path, prefix)
 
     def model(self) -> Any:
         """The chain or cells."""
         table, path = self.experiment.cells, self.experiment.of
-        given = table.model_dump(exclude={"kind", "friction"})
-        friction = getattr(table, "friction", None)
-        if isinstance(friction, Table):
-            given["friction"] = self.friction(friction, f"{path}.friction")
-        elif friction is not None:
-            given["friction"] = friction
-        if self.experiment.is_chain:
-            where = "sweep" if "coupling" in self.grid else path
-            if self.n == 1 and (where == "sweep" or table.coupling is not None):
-                alone = "must be left out: a single mass (`n` = 1) has no neighbours"
-                raise _LocatedError(f"{where}.coupling: {alone}")
-            arrays = {k: np.array(v) if isinstance(v, list) else v for k, v in given.items()}
-            return self.make(Chain, arrays, path)
-        known = READY_MADE | dict(self.custom.models)
-        if table.kind not in known:
+        known = {"Chain": Chain} | READY_MADE | dict(self.custom.models)
+        name = "Chain" if self.experiment.is_chain else table.kind
+        if name not in known:
             raise _LocatedError(
-                f"model.kind: is `{table.kind}`, so this class must be named on the command line: "
-                f"--model FILE.py:{table.kind}{did_you_mean(table.kind, known)}; ready-made are "
+                f"model.kind: is `{name}`, so this class must be named on the command line: "
+                f"--model FILE.py:{name}{did_you_mean(name, known)}; ready-made are "
                 f"{', '.join(READY_MADE)}"
             )
-        del given["n"]
-        kind = known[table.kind]
+        kind = known[name]
+        given = self.parts(table, path)
+        given.pop("kind", None)
+        if self.experiment.is_chain and self.n == 1:
+            where = "sweep" if "coupling" in self.grid else path
+            if where == "sweep" or table.coupling is not None:
+                alone = "must be left out: a single mass (`n` = 1) has no neighbours"
+                raise _LocatedError(f"{where}.coupling: {alone}")
+        fields = inspect.signature(kind).parameters
+        if "n" not in fields:
+            del given["n"]
+        elif name not in self.custom.models:  # it checks its numbers itself
+            arrays = {k: np.array(given[k]) for k in CHAIN if isinstance(given.get(k), list)}
+            return self.make(kind, given | (arrays if kind is Chain else {}), path)
         arrays = {f.name for f in dataclasses.fields(kind) if not f.metadata.get("static")}
         numbers = {}
         for name in arrays & (given.keys() | self.first.keys()):
             value = self.first.get(name, given.get(name))
-            if value is not None and not isinstance(value, TanhFriction):
+            if value is not None and not isinstance(value, AbstractFriction):
                 with _at(path, [*self.first]):
                     numbers[name] = self.per_cell(to_float(value, name), f"{path}.{name}")
         return self.make(kind, given, path, **numbers)
@@ -347,11 +385,17 @@ class _Builder:
         elif numerics.solver != "auto":
             solver = getattr(dfx, numerics.solver)()
         methods = {"smoothed": Method(solver, **how), "dry": Method(EventDriven(), **how)}
+        if numerics.model == "both" and model.dry:
+            raise _LocatedError('numerics.model: must be "dry": no friction has a `width`')
         scale = model.smallest_scale(self.n)
         if scale is not None:
             scale = tuple(map(self.grid.get, ("width", "belt_speed"), scale))
+        if numerics.model != "smoothed":
+            with _at("numerics.model"):
+                as_dry(model)
         for name in methods if numerics.model == "both" else (numerics.model,):
-            methods[name].checked(model, self.n, scale)
+            with _at("numerics"):
+                methods[name].checked(model, self.n, scale)
         return methods
 
     def check_start(self, model: Any, initial: Callable[..., State]) -> None:
@@ -404,7 +448,7 @@ class _Builder:
         chain = experiment.is_chain
         initial = self.initial() if chain else self.initial_of_cells(model, names)
         watch = self.observers(names)
-        with _at(f"{experiment.of}.friction", [*self.grid]):
+        with _at(f"{experiment.of}.friction", [*self.grid], model="width"):
             axes = check_axes(model, initial, self.grid, most=MOST_STORED)
         if chain:
             self.check_window(model)

@@ -73,8 +73,9 @@ def _settings(data: xr.Dataset) -> Iterator[tuple[str, str]]:
     dry = attrs.get("model") == "dry" or chain.get("width") is None
     left_out = {"n", "ends", "friction_law", "friction_table", "oscillators"}
     left_out |= {"width"} if dry else set()
+    several = "in a list" if "oscillators" in chain else "per mass"
     numbers = [
-        f"{name} {'per mass' if isinstance(value, list) else value}"
+        f"{name} {several if isinstance(value, list) else value}"
         for name, value in chain.items()
         if name not in left_out and value is not None
     ]

@@ -180,7 +180,7 @@ class _Run:
                     **whole,
                     "description": group.experiment.description,
                     "experiment": group.of,
-                    "model": group.model,
+                    "model": "dry" if self.built[group.of].model.dry else group.model,
                     "definition": json.dumps(scene["experiment"][group.of]),
                 }
                 if group.name not in results.datasets:
@@ -421,11 +421,12 @@ def as_run(
     data = scene.model_dump(mode="json", exclude_none=True)
     for name, experiment in scene.experiment.items():
         table = data["experiment"][name]
-        law = table[experiment.of].get("friction")
-        if custom_law and isinstance(law, dict):
-            numbers = {key: value for key, value in law.items() if key not in ("speed", "mu")}
-            numbers = numbers if law["law"] == "tabulated" else law
-            table[experiment.of]["friction"] = {**numbers, "law": "custom"}
+        for owner in (table[experiment.of], *table[experiment.of].get("contacts", [])):
+            law = owner.get("friction")
+            if custom_law and isinstance(law, dict):
+                numbers = {key: value for key, value in law.items() if key not in ("speed", "mu")}
+                numbers = numbers if law["law"] == "tabulated" else law
+                owner["friction"] = {**numbers, "law": "custom"}
         others = table["observe"].get("others", [])
         named = {other.get("name") for other in others}
         others += [{"observer": "custom", "name": k} for k in custom_observers if k not in named]

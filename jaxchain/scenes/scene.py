@@ -181,7 +181,6 @@ class Experiment(Table):
         for where, value, allowed in (
             (("observe", "quantities"), self.observe.quantities, ("amplitude", "energy")),
             (("observe", "stop"), [self.observe.stop], ("never", "steady")),
-            (("numerics", "model"), [self.numerics.model], ("smoothed",)),
         ):
             for given in value:
                 if given not in allowed:

@@ -14,16 +14,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import itertools
 import math
 import operator
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import (
     Annotated,
     Any,
+    ClassVar,
     Literal,
     TypeAlias,
     TypeVar,
@@ -32,7 +34,9 @@ from typing import (
     get_type_hints,
 )
 
+import equinox as eqx
 import numpy as np
+from jaxtyping import Array
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -47,10 +51,11 @@ from pydantic import (
 from .. import observers
 from .._limits import LEAST_ATOL, LEAST_RTOL, MOST_LANES
 from .._types import PerMass
-from ..model import friction, ready_made
+from ..model import drives, friction, ready_made
 from ..model.cells import AbstractCells
-from ..model.friction import TanhFriction
-from ..model.measured import read_curve
+from ..model.friction import AbstractFriction, TanhFriction
+from ..model.measured import read_curve, read_rows
+from ..model.mechanical import Added, Matrix, MechanicalCells
 from ..model.parameters import CHAIN, PARAMETERS, parameter
 from ..observers.base import AbstractObserver
 
@@ -74,7 +79,7 @@ READY_MADE: dict[str, type[AbstractCells]] = {
     for name, kind in vars(ready_made).items()
     if inspect.isclass(kind) and issubclass(kind, AbstractCells)
     if kind.__module__ == ready_made.__name__ and not name.startswith("_")
-}
+} | {"MechanicalCells": MechanicalCells}
 # The amplitude is observed in any case.
 OBSERVERS: dict[str, type[AbstractObserver]] = {
     name: kind
@@ -86,6 +91,9 @@ OBSERVERS: dict[str, type[AbstractObserver]] = {
 
 class Table(BaseModel):
     """A table of a scene file: unknown keys, wrong types, NaN and infinity are errors."""
+
+    makes: ClassVar[Any] = None
+    """The class of whose fields it consists."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -247,13 +255,16 @@ Values: TypeAlias = Annotated[
 ]
 
 
-def _several(kind: Any) -> OneOf:
-    """One number, or one per mass, cell or spring."""
-    many = Annotated[list[kind], Field(min_length=1, max_length=MOST_NUMBERS)]
+def _several(kind: Any, depth: int = 1) -> OneOf:
+    """One number, or one per mass, cell or spring; or a matrix, as lists within lists."""
+    entry = kind if depth == 1 else Annotated[Any, _several(kind, depth - 1)]
+    many = Annotated[list[entry], Field(min_length=1, max_length=MOST_NUMBERS)]
     return _either("a number or a list", number=kind, list=many)
 
 
 PerCell: TypeAlias = Annotated[Any, _several(Number)]
+_Matrix: TypeAlias = Annotated[Any, _several(Number, 3)]
+_Index: TypeAlias = Annotated[int, Field(ge=0, le=MOST_NUMBERS)]
 Component: TypeAlias = Annotated[
     Any, _either("a name or a number from 0", whole=Annotated[int, Field(ge=0, le=100)], text=Text)
 ]
@@ -261,6 +272,8 @@ Component: TypeAlias = Annotated[
 # What scenes have otherwise than the classes; masses are counted from 1 here, and there from 0.
 INDICES = ("oscillator", "oscillators", "middle")
 _OWN: dict[str, tuple[Any, str]] = {
+    "sliding": (_Index, "Which displacement slides on the belt, counted from 0."),
+    "contact": (_Index, "Which one of the several contacts of a cell, counted from 0."),
     "component": (Component, "Which variable of a cell: its name, or its number from 0."),
     "capacity": (Count, "How many are kept, the first ones."),
     "start": (Number, "The time before which nothing is kept."),
@@ -276,69 +289,105 @@ _SIGNS: dict[str, Any] = {"any": Number, "nonnegative": NonNegative, "positive":
 
 def _meanings(kind: type, names: list[str]) -> Iterator[tuple[str, str]]:
     """The meaning of each field of a class, from the arguments in its docstring."""
-    text = (inspect.getdoc(kind) or "").partition("**Arguments")[2].partition("\n\n")[0]
-    pieces = re.split(rf"`({'|'.join(names)})`", " ".join(text.split()))
-    for name, said in zip(pieces[1::2], pieces[2::2], strict=True):
-        yield name, re.sub(r"( and|[\s,;:])+$", "", said.lstrip(" ,:=")).replace("None", "absent")
+    text = (inspect.getdoc(kind) or "").partition("**Arguments")[2].partition("\n\n**Raises")[0]
+    first = {text.find(f"`{name}`"): name for name in names if f"`{name}`" in text}
+    for start, stop in itertools.pairwise([*sorted(first), len(text)]):
+        said = text[start:stop].removeprefix(f"`{first[start]}`")
+        said = re.split(r"\n\n|\n- ", said)[0]
+        said = re.sub(r"( and|[\s,;:-])+$", "", " ".join(said.split()).lstrip(" ,:="))
+        yield first[start], said.replace("None", "absent")
+
+
+def _number(hint: Any, parts: set[Any], sign: str) -> Any:
+    """The type of a key whose field has this hint."""
+    if hint is Any:
+        return Drive
+    if {*parts} & {AbstractFriction, TanhFriction}:
+        return FrictionTable
+    if Matrix in parts:
+        return _Matrix
+    if get_origin(hint) is Literal:
+        return hint
+    if get_origin(hint) is tuple and issubclass(part := get_args(hint)[0], eqx.Module):
+        return Annotated[list[_generated(part)], Field(min_length=1, max_length=1000)]
+    if dict[str, Added] in parts:
+        matrices = Annotated[dict[str, _Matrix], Field(min_length=1, max_length=100)]
+        return dict[str, Annotated[Any, _either("a matrix or a table of matrices",
+                    number=Number, list=_Matrix, table=matrices)]]  # fmt: skip
+    if tuple[str, ...] in parts:
+        return Annotated[list[Text], Field(min_length=1)]
+    if int in parts and float not in parts:
+        return Count
+    each = hint in (PerMass, Array, tuple[float, ...])
+    return Annotated[Any, _several(_SIGNS[sign])] if each else _SIGNS[sign]
 
 
 def _keys(kind: type, fields: Mapping[str, tuple[Any, Any]]) -> dict[str, Any]:
-    """The keys of a table from names with (type, default), as `create_model` takes them."""
+    """The keys of a table from names with (type, default), as `create_model` takes them.
+
+    Functions have none: a scene contains no code.
+    """
     meanings = dict(_meanings(kind, list(fields))) if fields else {}
     keys: dict[str, Any] = {}
     for name, (hint, default) in fields.items():
         parts = set(get_args(hint)) or {hint}
-        row = None if issubclass(kind, AbstractCells) else PARAMETERS.get(name)
+        if any(get_origin(part) is Callable for part in parts):
+            continue
+        known = issubclass(kind, AbstractFriction | Table)
+        row = PARAMETERS.get(name) if known else None
         meaning = row.description if row else meanings.get(name, "")
-        if name in _OWN:
-            given, meaning = _OWN[name]
-        elif hint is TanhFriction:
-            given = FrictionTable
-        elif get_origin(hint) is Literal:
-            given = hint
-        elif int in parts and float not in parts:
-            given = Count
-        else:
-            number = _SIGNS[row.sign if row else "any"]
-            given = Annotated[Any, _several(number)] if hint == PerMass else number
+        given, meaning = _OWN.get(name, (None, meaning))
+        given = given or _number(hint, parts, row.sign if row else "any")
         required = default is dataclasses.MISSING
         # A number may be swept instead; a whole number, a mass or a text may not.
-        optional = default is None or (required and hint in (PerMass, TanhFriction))
+        swept = required and hint in (PerMass, TanhFriction, Matrix, Array)
+        optional = swept or default in (None, ())
         value = None if optional else (... if required else default)
         keys[name] = (Annotated[given | None if optional else given, Field(description=meaning)],
                       value)  # fmt: skip
     return keys
 
 
-def _generated(key: str, name: str, kind: type, **more: Any) -> type[Table]:
-    """The table of a class: `key = name` selects it, the others are its fields."""
+def _which(name: str) -> Any:
+    """The key that selects a table."""
+    return Annotated[Literal[name], Field(description="Which one.")], ...
+
+
+def _generated(kind: type, /, **more: Any) -> type[Table]:
+    """The table of a class, whose keys are its fields.
+
+    `more`: further keys as (type, default), and other defaults of fields.
+    """
     hints = get_type_hints(kind)
+    own = {name: key for name, key in more.items() if isinstance(key, tuple)}
     fields = {
-        field.name: (hints[field.name], more.pop(field.name, field.default))
+        field.name: (hints[field.name], more.get(field.name, field.default))
         for field in dataclasses.fields(kind)
+        if field.name not in own
     }
-    which: Any = Annotated[Literal[name], Field(description="Which one.")], ...
     text = re.split(r"\n\n(?:\*\*|!!!)", inspect.getdoc(kind) or "")[0]
-    keys = {key: which, **more, **_keys(kind, fields)}
-    return create_model(f"{kind.__name__}Table", __base__=Table, __doc__=text, **keys)
+    keys: Any = {**own, **_keys(kind, fields)}
+    made = create_model(f"{kind.__name__}Table", __base__=Table, __doc__=text, **keys)
+    made.makes = kind
+    return made
 
 
 _Width: TypeAlias = Annotated[Positive | None, Field(description=parameter("width").description)]
 _Points: TypeAlias = Annotated[list[Number], Field(max_length=MOST_VALUES)]
 
 
-class TabulatedTable(Table):
-    """mu(s) through measured points, constant beyond the last: a file, or two lists."""
+class _FromFile(Table):
+    """Measured values, given in lists or in a file, which is read into them."""
 
-    law: Literal["tabulated"]
-    """Which one."""
+    lists: ClassVar[tuple[str, str]]
+
     file: str | None = None
-    """CSV file of two columns, speed and friction coefficient, beside the scene file."""
-    speed: _Points = Field(default_factory=list)
-    """Speeds, rising from 0; instead of `file`."""
-    mu: _Points = Field(default_factory=list)
-    """Friction coefficient at each of them."""
-    width: _Width = None
+    """CSV file beside the scene file, with columns for both lists; instead of these."""
+
+    @classmethod
+    def read(cls, file: Path) -> tuple[list[Any], list[Any]]:
+        """Both lists."""
+        raise NotImplementedError
 
     @model_validator(mode="before")
     @classmethod
@@ -346,16 +395,34 @@ class TabulatedTable(Table):
         """Adds the numbers of the file, so that the results contain them."""
         if not isinstance(table, dict) or not isinstance(table.get("file", ""), str):
             return table
-        if ("file" in table) == ("speed" in table or "mu" in table):
-            raise ValueError("must have either `file` or `speed` and `mu`")
+        if ("file" in table) == any(name in table for name in cls.lists):
+            raise ValueError("must have either `file` or `{}` and `{}`".format(*cls.lists))
         if "file" not in table:
             return table
         file = Path((info.context or {}).get("folder", ".")) / table["file"]
         try:
-            speed, mu = read_curve(file)
-        except (OSError, UnicodeDecodeError) as error:
+            numbers = cls.read(file)
+        except (OSError, ValueError) as error:
             raise ValueError(f"has a `file` that cannot be read, {file}: {error}") from None
-        return {**table, "file": None, "speed": speed, "mu": mu}
+        return {**table, "file": None, **dict(zip(cls.lists, numbers, strict=True))}
+
+
+class TabulatedTable(_FromFile):
+    """mu(s) through measured points, constant beyond the last: a file, or two lists."""
+
+    lists = "speed", "mu"
+    law: Literal["tabulated"]
+    """Which one."""
+    speed: _Points = Field(default_factory=list)
+    """Speeds, rising from 0; instead of `file`."""
+    mu: _Points = Field(default_factory=list)
+    """Friction coefficient at each of them."""
+    width: _Width = None
+
+    @classmethod
+    def read(cls, file: Path) -> tuple[list[float], list[float]]:
+        """Both columns."""
+        return read_curve(file)
 
 
 class CustomLawTable(Table):
@@ -373,11 +440,47 @@ class CustomLawTable(Table):
 
 
 LAW_TABLES = {
-    **{name: _generated("law", name, kind, width=(_Width, None)) for name, kind in LAWS.items()},
+    **{k: _generated(law, law=_which(k), width=(_Width, None)) for k, law in LAWS.items()},
     "tabulated": TabulatedTable,
     "custom": CustomLawTable,
 }
 FrictionTable: TypeAlias = Annotated[Any, _one_of("law", LAW_TABLES)]
+
+
+class SignalTable(_FromFile):
+    """A function of time through measured values, as `jaxchain.model.Table`: two lists, or a file.
+
+    Outside of the times it keeps the first and the last value, or repeats with a `period`.
+    """
+
+    makes = drives.Table
+    lists = "t", "values"
+
+    t: _Points
+    """The times, rising."""
+    values: Annotated[list[PerCell], Field(max_length=MOST_VALUES)]
+    """The value at each of them; of a `force` also a list with one for each displacement."""
+    period: Positive | None = None
+    """After which time it repeats."""
+    kind: Literal["cubic", "linear"] = "cubic"
+    """Between the times."""
+
+    @classmethod
+    def read(cls, file: Path) -> tuple[list[float], list[Any]]:
+        """The first column, and the others."""
+        rows = read_rows(file, "numbers, a time and its values")
+        return [row[0] for row in rows], [row[1:] if len(row) > 2 else row[1] for row in rows]
+
+
+Drive: TypeAlias = Annotated[
+    Any,
+    _either(
+        "a number, a list or a table of times and values",
+        number=Number,
+        list=Annotated[list[Number], Field(min_length=1, max_length=MOST_NUMBERS)],
+        table=SignalTable,
+    ),
+]
 _Ends: TypeAlias = Literal["cyclic", "free"]
 _Size: TypeAlias = Annotated[int, Field(ge=1, le=MOST_NUMBERS)]
 
@@ -437,7 +540,7 @@ class CustomModelTable(Table):
 
     kind: Text
     """The name of the class."""
-    n: _Size
+    n: _Size = 1
     """Number of cells."""
     ends: _Ends | None = None
     """A ring or a row, if the class has this field; absent: as the class has it."""
@@ -445,12 +548,12 @@ class CustomModelTable(Table):
     """Of a class with this field: a number or a list; or a table, for smoothed friction."""
 
 
-_CELLS: Any = Annotated[_Size, Field(description="Number of cells.")], ...
+_CELLS: Any = Annotated[_Size, Field(description="Number of cells.")], 1
 ModelTable: TypeAlias = Annotated[
     Any,
     _one_of(
         "kind",
-        {name: _generated("kind", name, kind, n=_CELLS) for name, kind in READY_MADE.items()}
+        {k: _generated(kind, kind=_which(k), n=_CELLS) for k, kind in READY_MADE.items()}
         | {"Chain": ChainModelTable},
         CustomModelTable,
     ),
@@ -575,7 +678,8 @@ def _observed(name: str, kind: type[AbstractObserver]) -> type[Table]:
     defaults = {field.name: field.default for field in dataclasses.fields(kind)}
     if defaults.get("capacity") == 0:
         own["capacity"] = dataclasses.MISSING
-    return _generated("observer", name, kind, **{k: v for k, v in own.items() if k in defaults})
+    own = {k: v for k, v in own.items() if k in defaults}
+    return _generated(kind, observer=_which(name), **own)
 
 
 ObserverTable: TypeAlias = Annotated[

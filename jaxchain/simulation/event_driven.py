@@ -278,7 +278,7 @@ class EventDrivenPlan(AbstractPlan):
         return f"EventDriven(order={self.order})"
 
     def begin(self, field: AbstractModel, initial: State, t0: Any, t1: Any) -> Progress:
-        dry = _dry(field)
+        dry = as_dry(field)
         state, modes = start(dry, t0, initial)
         known = _friction(dry, t0, state, modes)
         return Progress(
@@ -294,7 +294,7 @@ class EventDrivenPlan(AbstractPlan):
     def moved(self, field: AbstractModel, progress: Progress, state: State, t1: Any) -> Progress:
         del t1
         memory = progress.memory
-        known = _friction(_dry(field), progress.t, state, memory.modes)
+        known = _friction(as_dry(field), progress.t, state, memory.modes)
         memory = dataclasses.replace(memory, friction=known)
         return dataclasses.replace(progress, state=state, memory=memory)
 
@@ -311,7 +311,7 @@ class EventDrivenPlan(AbstractPlan):
         recorded: int | None = None,
     ) -> tuple[Progress, list[tuple[Array, ...]]]:
         del recorded  # steps end at events, to rounding
-        dry = _dry(field)
+        dry = as_dry(field)
         most = most_steps(progress, max_steps, allowed)
         state = progress.state
         records = [StateRecord.blank(ts, state).keep(progress.t, state) for ts in times]
@@ -531,7 +531,7 @@ class EventDriven(eqx.Module):
         )
 
 
-def _dry(field: AbstractModel) -> Dry:
+def as_dry(field: AbstractModel) -> Dry:
     if not field.frictional:
         raise ValueError(
             "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction or stops,"

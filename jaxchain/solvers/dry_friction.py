@@ -34,7 +34,6 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -121,10 +120,7 @@ def modes_at_rest(chain: Dry) -> Array:
 
 
 def _belt_acceleration(contact: Contact, t: Any) -> Any:
-    if not contact.moving:
-        return None
-    now = jnp.asarray(t, float)
-    return jax.jvp(contact.speed_at, (now,), (jnp.ones_like(now),))[1]
+    return contact.acceleration_at(t) if contact.moving else None
 
 
 def weighted_sum(direction: Sequence[float], parts: Sequence[Any]) -> Any:

@@ -13,7 +13,7 @@ from synthetic import cycle_branch, ladder, special_curve
 
 from jaxchain.boundaries import ComplexModes
 from jaxchain.inverse import Profile
-from jaxchain.model import paper_chain
+from jaxchain.model import MechanicalCells, paper_chain
 from jaxchain.result import SearchResult
 
 from .searches import made
@@ -59,7 +59,8 @@ def _motions() -> Iterator[Row]:
 def _drawings() -> Iterator[Row]:
     page = Figure()
     axes = page.subplots()
-    yield row("draw_model", {}, masses=(*COUNT, 7), axes=("x", 3, axes))
+    large = Told(MechanicalCells(np.eye(7)), "but has 7")
+    yield row("draw_model", {}, chain=("x", 3, large), masses=(*COUNT, 7), axes=("x", 3, axes))
     yield row("save_figure", {"page": page, "path": "page"}, page=(None, "x"), path=(None, 3))
     yield row("figure", {}, datasets=(None, "x", [], {}, {"a": 3}))
     friction = (*A_CHAIN, None)

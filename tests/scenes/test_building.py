@@ -1,6 +1,7 @@
 """A custom friction law, model or observer, from a file that is named on the command line."""
 
 import shutil
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
@@ -10,11 +11,13 @@ from synthetic import recorded_sweep, stored
 
 from jaxchain import (
     Amplitude,
+    StickTime,
     cli,
     steady_sliding,
     sweep,
 )
-from jaxchain.model.friction import Coulomb, TanhFriction
+from jaxchain.model import Contact, MechanicalCells, Stop, drives
+from jaxchain.model.friction import Coulomb, StaticKinetic, TanhFriction
 from jaxchain.model.ready_made import BurridgeKnopoff
 from jaxchain.scenes import running
 from jaxchain.scenes.building import Custom, build, load_law, load_model, load_observer
@@ -416,7 +419,7 @@ def test_a_scene_of_ones_own_cells_has_the_numbers_of_a_sweep_bit_for_bit(modes,
         ("observe.others=[{observer='Section',oscillator=3}]", "must lie in 1 ... 2 (`n`)"),
         (
             "numerics.model='dry'",
-            'numerics.model: must be "smoothed", but is "dry", which needs a `chain`',
+            "numerics.model: The event-driven solver needs a `Chain`, or `MechanicalCells` with",
         ),
         ("pictures=['circles']", "pictures: needs"),
         ("chain={}", "chain.n: is missing"),
@@ -472,7 +475,7 @@ def test_ready_made_cells_are_made_from_their_tables(modes):
     np.testing.assert_array_equal(start(cells, component_1=0.5)[1], [0.5, 0.5])
     assert set(READY_MADE) == {
         *("ModeCoupling", "LuGre", "RateAndState", "Duffing", "Pendulums", "VanDerPol"),
-        "BurridgeKnopoff",
+        *("BurridgeKnopoff", "MechanicalCells"),
     }
 
 
@@ -491,3 +494,160 @@ def test_numbers_of_a_cell_without_names_are_counted(modes):
         built(scene, table, "initial={}", *rest, models=models)
     with pytest.raises(SceneError, match=r"initial\.7: is not a number of a cell"):
         built(scene, table, "initial={0=1,7=2}", *rest, models=models)
+
+
+BLOCKS = """
+title = "Two blocks on a third one, on a belt that goes to and fro"
+
+[experiment.blocks.model]
+kind = "MechanicalCells"
+stiffness = [[2.0, -0.3, -0.2], [-0.3, 1.1, 0.0], [-0.2, 0.0, 1.4]]
+mass = [2.0, 0.8, 0.7]
+damping = 0.02
+names = ["a", "b", "c"]
+force = { file = "push.csv", period = 9.0 }
+plus = { softer = [[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]] }
+
+[[experiment.blocks.model.contacts]]
+direction = [1, 0, 0]
+friction = { law = "static_kinetic", mu_static = 0.5, mu_kinetic = 0.3 }
+normal_load = 3.0
+belt_speed = { t = [0.0, 5.0, 9.0], values = [0.4, 0.6, 0.4], period = 9.0, kind = "linear" }
+
+[[experiment.blocks.model.contacts]]
+direction = [-1, 1, 0]
+friction = { law = "static_kinetic", mu_static = 0.4, mu_kinetic = 0.25 }
+
+[[experiment.blocks.model.stops]]
+direction = [0, 0, 1]
+gap = 0.2
+restitution = 0.5
+
+[experiment.blocks.initial]
+b = 0.1
+
+[experiment.blocks.sweep]
+"contacts[1].normal_load" = [0.8, 1.2]
+"stops[0].restitution" = [0.5, 0.9]
+softer = [0.3]
+
+[experiment.blocks.time]
+transient = 2.0
+window = 4.0
+
+[experiment.blocks.observe]
+component = "b"
+others = [{ observer = "StickTime", contact = 1 }]
+"""
+PUSH = [[0.0, 0.5, 0.4], [0.1, -0.5, 0.3], [0.0, 0.2, -0.4]]
+
+
+def blocks(load: Any = 1.0) -> MechanicalCells:
+    """The model of the scene, in Python."""
+    belt = drives.Table([0.0, 5.0, 9.0], [0.4, 0.6, 0.4], 9.0, "linear")
+    return MechanicalCells(
+        [[2.0, -0.3, -0.2], [-0.3, 1.1, 0.0], [-0.2, 0.0, 1.4]],
+        mass=[2.0, 0.8, 0.7],
+        damping=0.02,
+        names=["a", "b", "c"],
+        force=drives.Table([0.0, 3.0, 6.0], PUSH, 9.0),
+        plus={"softer": jnp.diag(jnp.array([0.1, 0.0, 0.0]))},
+        contacts=[
+            Contact((1, 0, 0), StaticKinetic(0.5, 0.3), 3.0, belt),
+            Contact((-1, 1, 0), StaticKinetic(0.4, 0.25), load),
+        ],
+        stops=[Stop((0, 0, 1), 0.2, 0.5)],
+        n=1,
+    )
+
+
+@pytest.fixture
+def blocks_scene(tmp_path):
+    rows = [f"{t}, {', '.join(map(str, row))}" for t, row in zip((0, 3, 6), PUSH, strict=True)]
+    (tmp_path / "push.csv").write_text("\n".join(["time, a, b, c", *rows]), encoding="utf-8")
+    file = tmp_path / "blocks.toml"
+    file.write_text(BLOCKS, encoding="utf-8")
+    return str(file)
+
+
+def test_a_scene_of_cells_with_contacts_and_stops_is_the_sweep_of_that_model(
+    blocks_scene, tmp_path
+):
+    folder = tmp_path / "results"
+    arguments = ["run", blocks_scene, "--output", str(folder), "--no-plot", "--quiet"]
+    assert cli.main(arguments) == 0
+    data = stored(folder / "blocks")["blocks"]
+    start = tuple(jnp.array([q]) for q in (0.0, 0.1, 0.0, 0.0, 0.0, 0.0))
+    over = {
+        "contacts[1].normal_load": [0.8, 1.2],
+        "stops[0].restitution": [0.5, 0.9],
+        "softer": [0.3],
+    }
+    watch = [Amplitude(window=4.0, component=1), StickTime(contact=1)]
+    direct = sweep(blocks(), start, 6.0, over=over, observe=watch, rtol=1e-6, max_step=0.5)
+    for name in data:
+        np.testing.assert_array_equal(data[name], direct[name], err_msg=str(name))
+    assert 0.0 < float(data.stick_time.min()) < float(data.stick_time.max())
+    assert data.attrs["model"] == "dry"
+    # The copy of the scene needs no file of the signal, and goes on where a run was cut off.
+    (tmp_path / "push.csv").unlink()
+    kept = load_scene(str(folder)).scene.experiment["blocks"].cells.force
+    assert (kept.file, kept.values) == (None, PUSH)
+    shutil.rmtree(folder / "blocks.zarr")
+    assert cli.main(["resume", str(folder), "--no-plot", "--quiet"]) == 0
+    assert stored(folder / "blocks")["blocks"].equals(data)
+
+
+def test_a_width_smooths_the_friction_of_contacts(blocks_scene):
+    law = "friction={law='coulomb',mu_dynamic=0.3,width=0.1}"
+    table = f"model.contacts=[{{direction=[1,0,0],{law}}}]"
+    over = "model.stops=[{direction=[1,0,0],gap=9}]", "sweep={'contacts[0].width'=[0.2,0.3]}"
+    with pytest.raises(SceneError, match=r"model\.stops: needs dry friction"):
+        built(blocks_scene, table, *over)
+    text = BLOCKS.partition("[[experiment.blocks.model.stops]]")[0]
+    text += BLOCKS[BLOCKS.index("[experiment.blocks.initial]") :]
+    Path(blocks_scene).write_text(text, encoding="utf-8")
+    more = "observe.others=[{observer='PeakTimes'}]", "numerics.model=both"
+    parts = built(blocks_scene, table, over[1], *more)
+    assert float(parts.model.contacts[0].width) == 0.2
+    assert not parts.methods["smoothed"].dry
+    assert parts.methods["dry"].dry
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        ("model.contacts=[{direction=[1,0],friction={law='coulomb',mu_dynamic=0.3}}]",
+         "model.contacts[0].direction: must have an entry for each of the 3 displacements"),
+        ("model.contacts=[{directoin=[1]}]",
+         "contacts[0].directoin: is not a known key (did you mean `direction`?); allowed: direc"),
+        ("model.contacts=[{direction=[1,0,0],friction={law='coulomb',mu_dynamic=0.3},"
+         "normal_load=-1},{direction=[1,0,0],friction={law='coulomb',mu_dynamic=0.3}}]",
+         "model.contacts[0].normal_load: must be zero or positive, and finite, but is -1.0"),
+        ("model.stops=[{direction=[1,0,0],gap='a'}]",
+         'model.stops[0].gap: must be a valid number, but is "a"'),
+        ("model.stops=[{direction=[0,0,0],gap=1}]", "stops[0].direction: must hold a finite"),
+        ("model.mass=[[1,0],[0,1]]", "model.mass: must be one number, or of shape (3,), (3, 3)"),
+        ("model.spring=1", "model.spring: is not a known key"),
+        ("model.force={t=[0,1]}", "model.force.values: is missing"),
+        ("model.force={t=[1,0],values=[1,2]}", "model.force.t: must rise, but 1 is followed by"),
+        ("model.force={file='x.csv'}", "model.force: has a `file` that cannot be read"),
+        ("model.force={file='blocks.toml'}", "must be numbers, a time and its values, but is"),
+        ("model.force={file='push.csv',t=[1]}", "must have either `file` or `t` and `values`"),
+        ("model.plus={x={mas=1}}", "model.plus.x: must be the matrix that is added to"),
+        ("sweep={'contacts[1].normal_lod'=[1]}",
+         'sweep."contacts[1].normal_lod": is neither a number of the chain nor'),
+        ("sweep={'contacts[1].normal_load'=[-1]}",
+         'sweep."contacts[1].normal_load": must be zero or positive'),
+        ("sweep={width=[0.1]}", "sweep.width: has dry friction, but this is for smoothed"),
+        ("numerics.model=both", 'numerics.model: must be "dry": no friction has a `width`'),
+        ("numerics.solver=Tsit5", "numerics.solver: is a Tsit5, but `model` has dry friction"),
+        ("observe.others=[{observer='StickTime',contact=2}]", "contact: = 2 must be less than"),
+    ],
+)  # fmt: skip
+def test_what_contacts_and_drives_cannot_be_is_refused_with_its_key(blocks_scene, change, problem):
+    with pytest.raises(SceneError) as error:
+        built(blocks_scene, change)
+    found = "\n".join(error.value.problems)
+    assert problem in found
+    assert found.startswith("experiment.blocks.")

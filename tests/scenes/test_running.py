@@ -188,8 +188,10 @@ def test_inconsistent_numbers_of_all_experiments_are_reported_before_any_run(tmp
     with pytest.raises(SceneError) as error:
         run_scene(load_scene("fig3", rough), tmp_path, plot=False)
     single, ladder = error.value.problems
-    assert single.startswith("experiment.single: Arguments `rtol` = 0.5 and `atol` = 0.05 are too")
-    assert ladder.startswith("experiment.ladder: Arguments `rtol` = 0.5")
+    assert single.startswith(
+        "experiment.single.numerics: Arguments `rtol` = 0.5 and `atol` = 0.05 are too"
+    )
+    assert ladder.startswith("experiment.ladder.numerics: Arguments `rtol` = 0.5")
     assert not list(tmp_path.iterdir())
 
 
