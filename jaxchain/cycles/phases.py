@@ -230,8 +230,8 @@ class Phases(AbstractOrbit, eqx.Module):
         def parts(z: Array) -> tuple[Array, State]:
             return z[0], tuple(jnp.split(z[1:], self.m))
 
-        def phase(z: Array, given: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Any]:
-            mode, duration, first, last, (event, place, _) = given
+        def phase(z: Array, given: tuple[Array, ...]) -> tuple[Array, Any]:
+            mode, duration, first, last, meets, (event, place, _) = given
 
             def rate(z: Array) -> Array:
                 return jnp.concatenate([jnp.ones(1), *motion_in(field, *parts(z), mode)])
@@ -282,15 +282,19 @@ class Phases(AbstractOrbit, eqx.Module):
                 follows = jnp.where(event == EVENTS.index("at once"), follows, 1.0)
             start = z, rate(z), extent, begins, jnp.zeros(())
             z, slope, extent, highest, error = lax.fori_loop(0, self.steps, step, start)
+            if not single:  # what comes then may change them
+                meets |= event == EVENTS.index("at once")  # a phase of no length
+                ending = jnp.where(meets, -1.0, lax.stop_gradient(near(z)))
+                highest = jnp.maximum(highest, ending)
             (w, r), (slowing, rising) = jax.jvp(contact, (z,), (slope,))
             z = thrown_at(field, z, self.m, event, place)
             return z, (jnp.stack([w, slowing, r, rising]), extent, highest, error, follows)
 
         start = jnp.concatenate([begin[None], *state])
-        ended = self._events_at_ends()
+        ended, met = self._events_at_ends(True), self._events_at_ends(False)
         events, every = jnp.asarray(self.events), jnp.arange(len(self.events))
         z, (values, extents, highest, errors, follows) = lax.scan(
-            phase, start, (modes, durations, jnp.roll(ended, 1, axis=0), ended, events)
+            phase, start, (modes, durations, jnp.roll(ended, 1, axis=0), ended, met, events)
         )
 
         def value(k: Any, event: Any, place: Any, sign: Any) -> Array:
@@ -313,16 +317,19 @@ class Phases(AbstractOrbit, eqx.Module):
         amplitude = (jnp.max(extents[:, 1], axis=0) - jnp.min(extents[:, 0], axis=0)) / 2
         return jnp.concatenate(gaps), (margins, jnp.sum(errors), amplitude)
 
-    def _events_at_ends(self) -> Bool[Array, "phases n"]:
+    def _events_at_ends(self, at_once: bool) -> Bool[Array, "phases places"]:
         """Which places have an event at the end of each phase, also with others at one time.
 
-        In the steps beside these they have no further one but by rounding.
+        In the steps beside these they have no further one but by rounding.  `at_once`: also those
+        that follow other events.
         """
         events, apart = jnp.asarray(self.events), jnp.asarray(self.apart)
         group = jnp.cumsum(apart)
         group = jnp.where(group == 0, group[-1], group)
         touch = jnp.outer(events[:, 0] % 2, jnp.asarray(self.alike)) > 0
         own = (events[:, 1][:, None] == jnp.arange(np.shape(self.modes)[1])[None]) | touch
+        if not at_once:
+            own &= (events[:, 0] != EVENTS.index("at once"))[:, None]
         together = group[:, None] == group[None]
         return together.astype(int) @ own.astype(int) > 0
 

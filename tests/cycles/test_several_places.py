@@ -102,3 +102,21 @@ def test_two_blocks_on_a_belt_go_on_as_searches_find_them():
     assert float(found.period) == pytest.approx(float(branch.period[-1]), abs=1e-7)
     leading = np.abs(found.multipliers).max()
     assert leading == pytest.approx(np.abs(branch.multipliers[-1]).max(), rel=1e-5)
+
+
+@pytest.mark.long
+def test_a_branch_ends_where_an_impact_meets_a_contact_that_would_slide():
+    """The force passes the static limit just before the impact, where it has no maximum."""
+    rubs = MechanicalCells(
+        1.86, damping=0.098, friction=StaticKinetic(0.373, 0.274), normal_load=0.7485,
+        belt_speed=0.157, force=0.892, frequency=0.7265, stops=[Stop(1.0, 0.4727, 0.7794)],
+    )  # fmt: skip
+    run = simulate(rubs, (jnp.full(1, 0.1), jnp.full(1, 0.1)), 120 * np.pi / 0.7265)
+    found = find_limit_cycle(rubs, run)
+    branch = continue_cycle(found, parameter="mu_kinetic", direction=-1, bounds=(0.1, 0.274))
+    assert 0.14 < branch.parameter[-1] < 0.2
+    assert branch.special[-1].kind == "release"
+    for value, period, *state in zip(branch.parameter, branch.period, *branch.state, strict=True):
+        y = tuple(jnp.asarray(part) for part in state)
+        end = simulate(rubs.with_(mu_kinetic=value), y, period, rtol=1e-12).state
+        np.testing.assert_allclose(np.ravel(end), np.ravel(y), atol=1e-9)
