@@ -74,14 +74,6 @@ def test_numbers_per_mass_and_matrices_run_along_realisations():
         assert found == pytest.approx(np.ptp(x) / 2, rel=1e-4)
 
 
-def test_a_grid_is_not_made_before_its_blocks_are():
-    """10^12 jobs would not fit."""
-    million = np.arange(10**6, dtype=float)
-    grid = Grid({"a": {"a": million}, "b": {"b": million}}, {"a": 10, "b": 100})
-    assert (grid.block_size, grid.counts) == (1000, (10**5, 10**4))
-    assert grid.block(next(grid.all_keys())).size == grid.block((99_999, 9_999)).size == 1000
-
-
 @pytest.mark.parametrize("size", [1, 5, 7, 29, 30, 1000])
 def test_chunks_hold_at_most_so_many_jobs(size):
     chunks = chunks_of(AXES, size)
