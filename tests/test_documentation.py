@@ -38,8 +38,12 @@ READ = {
 }
 
 
-# All that the paper says, found again, takes minutes.
-LONG = ("explanation/paper.md",)
+# All that the paper says, found again, takes minutes; others do what a shorter page does, too.
+LONG = (
+    "explanation/paper.md", "explanation/basins.md", "explanation/fold_is_a_grazing.md",
+    "explanation/smoothing.md", "coming_from/bifurcationkit.md", "faq.md", "guides/custom_cell.md",
+    "guides/gradients.md",
+)  # fmt: skip
 CODE = [
     pytest.param(name, marks=[pytest.mark.long] * (name in LONG))
     for name, text in TEXTS.items()

@@ -242,3 +242,11 @@ def test_a_sketch_leaves_out_what_is_not_finite_and_escapes_words():
     (path,) = re.findall(r' d="([^"]*)"', drawn)
     assert re.sub("[^ML]", "", path) == "MML"
     assert svg(Sketch("x", "y", [(x, np.full(4, np.nan))])) == ""
+
+
+def test_a_search_that_failed_prints_its_reason():
+    failed = eqx.tree_at(lambda f: f.result, FOUND, SearchResult.no_cycle)
+    assert repr(failed).splitlines()[:2] == [
+        "Found: no_cycle",
+        "  No fold was found, although averaging predicts one: the search for a ...",
+    ]

@@ -119,7 +119,7 @@ MISTUNED = paper_chain(3, width=0.1).with_(
     ("chain", "amplitude"),
     [
         pytest.param(MISTUNED, 0.003, marks=pytest.mark.long),
-        (paper_chain(1), 0.01),
+        pytest.param(paper_chain(1), 0.01, marks=pytest.mark.long),
     ],
     ids=["mistuned", "one mass"],
 )

@@ -144,17 +144,6 @@ def test_one_contact_of_several_displacements_sticks_in_an_interval():
     assert found.stable
     assert not find_equilibrium(cells.with_(damping=[-0.1, 0.1]), start).stable
 
-    # A share of the load moves the end, and no mass that is held.
-    @jax.jit
-    @jax.jacfwd
-    def slopes(load):
-        found = find_equilibrium(cells.with_(normal_load=load), start)
-        return jnp.asarray(found.interval)[1, 0], found.state[1][0]
-
-    end_slope, held_slope = slopes(0.7)
-    assert float(end_slope) == pytest.approx(1.0 / (1.62 + 1.5 * end**2), abs=1e-12)
-    assert float(held_slope) == 0.0
-
 
 def test_hopf_points_of_a_chain_are_those_of_the_closed_form():
     one = paper_chain(1, belt_speed=1.3, width=None)
@@ -196,21 +185,17 @@ def test_hopf_points_of_cells_are_those_of_numpy():
 
 def test_a_branch_of_sliding_ends_where_the_belt_stops():
     """Modes of equal masses cross together, two of two, which must not cancel."""
-    chain = paper_chain(2, belt_speed=1.0, width=None)
-    for sign in (1, -1):
-        own = chain.with_(belt_speed=sign)
-        branch = continue_equilibrium(own, None, "belt_speed", (-2.0, 1.5))
-        ends = (branch.ended_first, branch.ended)
-        assert ends == ("belt_speed = 0", "left_bounds")[::sign]
-        np.testing.assert_allclose(
-            branch.u[:, :2], sign * np.tile(friction(np.abs(branch.p)), (2, 1)).T, atol=1e-12
-        )
-        (point,) = branch.of_kind("hopf")
-        assert point.p == pytest.approx(sign * np.log(10) / 2, abs=1e-9)
-        np.testing.assert_array_equal(branch.stable, np.abs(branch.p) > np.abs(point.p))
-        stop = 0 if sign > 0 else -1
-        assert branch.p[stop] == 0.0
-        np.testing.assert_allclose(branch.u[stop, :2], sign, atol=1e-13)  # p mu_st / k
+    chain = paper_chain(2, belt_speed=-1.0, width=None)
+    branch = continue_equilibrium(chain, None, "belt_speed", (-2.0, 1.5))
+    assert (branch.ended_first, branch.ended) == ("left_bounds", "belt_speed = 0")
+    np.testing.assert_allclose(
+        branch.u[:, :2], -np.tile(friction(-branch.p), (2, 1)).T, atol=1e-12
+    )
+    (point,) = branch.of_kind("hopf")
+    assert point.p == pytest.approx(-np.log(10) / 2, abs=1e-9)
+    np.testing.assert_array_equal(branch.stable, branch.p < point.p)
+    assert branch.p[-1] == 0.0
+    np.testing.assert_allclose(branch.u[-1, :2], -1.0, atol=1e-13)  # p mu_st / k
     assert "The belt stops there" in branch.message
     assert branch.to_dataset().ended == "belt_speed = 0"
 

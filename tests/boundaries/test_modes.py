@@ -130,6 +130,7 @@ def test_without_damping_modes_meet_on_the_axis_and_nothing_crosses():
         find_hopf_point(small(), "friction", REST[:4], bounds=(0.0, 0.5))
 
 
+@pytest.mark.long
 def test_shapes_and_slopes_have_derivatives():
     """Of every number, here also of the equilibrium, which moves."""
     mu, h = np.array([0.3, 0.5]), 1e-6

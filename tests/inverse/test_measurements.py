@@ -390,3 +390,14 @@ def test_intervals_of_signals_hold_the_truth_as_often_as_they_promise(from_start
 def test_bad_measurements_are_named(arguments, message):
     with pytest.raises(ValueError, match=message):
         Measurements(**arguments)
+
+
+def test_an_unknown_offset_is_the_weighted_mean_of_the_gaps():
+    noise = np.array([0.1, 0.1, 0.2])
+    record = Signal([0.0, 1.0, 2.0], [3.0, 4.0, 6.0], noise, offset="unknown")
+    gaps = np.array([3.0, 4.0, 6.0]) - 1.0
+    mean = np.average(gaps, weights=noise**-2.0)
+    assert record.shift(jnp.ones(3)) == pytest.approx(mean)
+    np.testing.assert_allclose(record.gaps(jnp.ones(3)), (gaps - mean) / noise)
+    with pytest.raises(ValueError, match="`offset` must be None or"):
+        Signal([0.0, 1.0], [1.0, 2.0], 0.1, offset=0.3)

@@ -282,3 +282,11 @@ def test_a_class_has_its_traced_numbers_as_fields():
 def test_bad_parts_are_refused(changes, names):
     with pytest.raises(ValueError, match=names):
         simulate(two_of_each(**changes), START, 1.0)
+
+
+def test_a_release_accelerates_by_the_greatest_friction():
+    cells = two_of_each(friction=LAW.with_(width=1e-2))
+    share = np.linalg.inv(np.asarray(cells.mass))[cells.sliding, cells.sliding]
+    found: Any = cells.release_acceleration()
+    np.testing.assert_allclose(found, share * np.array([1.0, 0.8, 1.2]), rtol=1e-12)
+    assert two_of_each().release_acceleration() is None

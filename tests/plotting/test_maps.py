@@ -139,3 +139,13 @@ def test_curves_lie_on_the_axes_of_their_parameters(x):
     line = np.stack(drawn.get_lines()[0].get_data())[::way, ::PARTS]
     np.testing.assert_allclose(line, (hopf.first, hopf.second))
     assert drawn.get_xlim() == tuple(edges(drawn)[0][[0, -1]])
+
+
+def test_equal_ratios_over_decades_are_equal_cells_of_a_logarithmic_axis():
+    width = np.array([1e-4, 1e-3, 1e-2])
+    data = results({"belt_speed": SPEEDS, "width": width}, np.ones((3, 3)), 1)
+    axes = plot_map(data)
+    assert (axes.get_xscale(), axes.get_yscale()) == ("linear", "log")
+    np.testing.assert_allclose(edges(axes)[1], 10.0 ** np.arange(-4.5, -1.0), rtol=1e-12)
+    equal = plot_map(data.assign_coords(width=[0.01, 0.5, 0.99]))
+    assert equal.get_yscale() == "linear"

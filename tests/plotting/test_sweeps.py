@@ -148,3 +148,8 @@ def test_more_panels_than_are_legible_are_refused():
     axes = {name: [0.1, 0.2] for name in ("belt_speed", "coupling", "width", "v_ref", "mu_static")}
     with pytest.raises(ValueError, match=r"dimension `v_ref` of 2 values and `mu_static` of 2"):
         plot_sweep(results(axes, np.zeros((2,) * 5, int), 2))
+
+
+def test_a_number_that_spans_decades_has_a_logarithmic_axis():
+    data = results({"width": [1e-4, 1e-3, 1e-2]}, [1, 1, 1], 1)
+    assert plot_sweep(data).get_xscale() == "log"

@@ -269,3 +269,9 @@ def test_a_store_is_found_by_its_name_and_nothing_else_is_one(full, tmp_path):
         assert store_named(name) is None
     with pytest.raises(FileNotFoundError, match="There is no store"):
         status_of(tmp_path)
+
+
+def test_durations_have_the_unit_that_suits_them():
+    assert [duration(s) for s in (0.4, 59.0, 60.0, 5400.0, 86400.0 * 1000)] == [
+        "0 s", "59 s", "1 min", "1.5 h", "1,000 days",
+    ]  # fmt: skip
