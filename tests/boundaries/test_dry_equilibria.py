@@ -10,7 +10,6 @@ from scipy import optimize
 
 from jaxchain import (
     ExponentialDecay,
-    SearchResult,
     continue_special,
     paper_chain,
     simulate,
@@ -208,16 +207,3 @@ def test_masses_that_stick_have_no_hopf_point_and_say_so():
     ):
         with pytest.raises(ValueError, match=r"belts that move.*`belt_speed` = 0.*no Hopf point"):
             search()
-
-    @jax.jit
-    @jax.vmap
-    def lanes(v):
-        there = still.with_(belt_speed=v)
-        return find_hopf_point(there, "belt_speed", throw=False).result, find_equilibrium(there)
-
-    speeds = jnp.array([-1.0, 0.0, 1.0])
-    results, found = lanes(speeds)
-    expected = [SearchResult.successful, SearchResult.sticking, SearchResult.successful]
-    np.testing.assert_array_equal(results._value, [code._value for code in expected])
-    np.testing.assert_array_equal(found.sticking, speeds == 0)
-    np.testing.assert_allclose(found.state[0][:, 0], np.sign(speeds) * friction(1.0), atol=1e-14)

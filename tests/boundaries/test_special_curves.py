@@ -231,6 +231,7 @@ def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
     assert curves[0].to_dataset().point_kind.values.tolist() == list(curves[0].kinds)
 
 
+@pytest.mark.long
 def test_a_dry_fold_is_found_again_with_its_slopes(dry_fold):
     def value(chain):
         return find_special_cycle(dry_fold, chain).value
@@ -272,6 +273,7 @@ def settled(cells, period, forcing_periods, start=(1.0, 0.0)):
     return run.state
 
 
+@pytest.mark.long
 def test_at_a_release_the_force_just_reaches_the_static_limit():
     law = ExponentialDecay(1.0, 0.5, 0.5)
     cells = MechanicalCells(

@@ -243,9 +243,10 @@ def test_numbers_of_parts_are_swept_by_name():
     contacts = [Contact((1, 0), StaticKinetic(0.5, 0.3), 1.0, 0.4), Contact((1, -1), Coulomb(0.2))]
     cells = MechanicalCells([[1.0, 0.1], [0.1, 2.0]], contacts=contacts, damping=0.1)
     start = tuple(jnp.zeros((4, 1)))
-    found = sweep(cells, start, 10.0, over=over, observe=Amplitude(5.0))
+    quick = {"observe": Amplitude(5.0), "solver": EventDriven(4)}
+    found = sweep(cells, start, 10.0, over=over, **quick)
     one = {name: values[1] for name, values in over.items()}
-    alone = simulate(cells.with_(**one), start, 10.0, observe=Amplitude(5.0))
+    alone = simulate(cells.with_(**one), start, 10.0, **quick)
     np.testing.assert_allclose(found.amplitude.sel(one), alone.observed, rtol=1e-6)
     assert cells.value_of("contacts[1].normal_load") == 1.0
     with pytest.raises(ValueError, match=r"contacts\[2\]"):

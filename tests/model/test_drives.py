@@ -10,6 +10,7 @@ from witnesses.driven import run
 
 from jaxchain import (
     Coulomb,
+    EventDriven,
     StaticKinetic,
     StickTime,
     continue_cycle,
@@ -91,7 +92,9 @@ def test_a_driven_cell_is_that_of_scipy_with_its_slopes(case):
     def end(mu):
         def ends(mu):
             own = cells.with_(mu_static=mu)
-            done = simulate(own, start, 60.0, rtol=1e-12, observe=StickTime())
+            done = simulate(
+                own, start, 60.0, rtol=1e-12, observe=StickTime(), solver=EventDriven(9)
+            )
             return jnp.concatenate([*done.state, done.observed])
 
         return jax.jvp(ends, (mu,), (jnp.ones(()),))
@@ -193,7 +196,7 @@ def test_a_table_drives_a_dry_run_with_slopes_in_its_values():
     def end(values):
         table = Table([0.0, 2.0, 4.0], values, kind="linear")
         own = one(force=table)
-        return simulate(own, start, 4.0, rtol=1e-11).state[0][0]
+        return simulate(own, start, 4.0, rtol=1e-11, solver=EventDriven(6)).state[0][0]
 
     values = jnp.array([0.0, 3.0, 0.0])
     written = simulate(one(force=ramp), start, 4.0, rtol=1e-11).state[0][0]
