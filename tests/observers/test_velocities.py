@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxchain import Amplitude, Coulomb, PeakTimes, Section, equation_8, paper_chain, simulate
 from jaxchain.model import MechanicalCells

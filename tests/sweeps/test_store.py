@@ -18,6 +18,7 @@ from jaxchain.result import NAMES
 from jaxchain.sweeps import StoreError, SweepInterrupted
 from jaxchain.sweeps.store import (
     Store,
+    duration,
     in_lines,
     is_whole,
     status_of,
