@@ -75,7 +75,7 @@ def friction_alone(stages: int) -> Callable[..., Any]:
 
     def run(chain: Any, state: Any, h: Any, count: Any) -> Any:
         x, v = state
-        body = lambda _, v: v + h * chain.local_force(0.0, x, v)  # noqa: E731
+        body = lambda _, v: v + h * chain.local_force(0.0, x, v)
         return lax.fori_loop(0, count * stages, body, v)
 
     return run

@@ -130,7 +130,7 @@ def cheapest(
                 break
         if len(passed) == 2 and min(passed)[0] < best:
             best, label, rtol = min(passed)
-            winner = lambda solve=solve, rtol=rtol: solve(rtol)  # noqa: E731
+            winner = lambda solve=solve, rtol=rtol: solve(rtol)
     if winner is None:
         raise RuntimeError(f"none of {', '.join(solvers)} met the error bar {bar:g}")
     return label, winner

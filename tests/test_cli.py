@@ -1,6 +1,5 @@
 """The `jaxchain` command: what it prints, what it writes, and that it loses nothing."""
 
-import contextlib
 import errno
 import json
 import os
@@ -223,11 +222,6 @@ def test_what_cannot_be_done_ends_with_2_and_the_reason(workplace, found, capsys
     assert not list(Path(".").glob("results/*"))
 
 
-def test_quiet_prints_nothing(workplace, made_up_sweep, capsys):
-    assert main(["run", "two.toml", "--no-plot", "--quiet"]) == 0
-    assert capsys.readouterr() == ("", "")
-
-
 def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch, capsys):
     def broken(datasets):
         raise RuntimeError("no ink")
@@ -358,31 +352,6 @@ def test_boundary_prints_one_object_with_null_for_missing_numbers(workplace, fou
     assert (chain.n, float(chain.law.v_ref)) == (3, 0.4)
 
 
-def test_boundary_without_options_is_one_mass_of_the_paper(workplace, found, capsys):
-    assert main(["boundary"]) == 0
-    (chain,) = found
-    assert (chain.n, chain.coupling, float(chain.width)) == (1, None, 1e-3)
-    said = capsys.readouterr().out
-    assert "1.850000000 ± 1e-10" in said
-    assert "fold: no fold was found" in said
-    assert "moves the fold" not in said
-
-
-def test_in_words_every_boundary_has_its_value_its_limit_and_its_bar(
-    workplace, monkeypatch, capsys
-):
-    replace_search(monkeypatch, 1.8, 1.8501, 1e-3)
-    assert main(["boundary"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    hopf, fold = (next(line for line in lines if line.startswith(k)) for k in ("Hopf", "fold"))
-    assert "1.200000000" in hopf
-    assert "± 1e-12" in hopf
-    assert "1.800000000" in fold
-    assert "1.850000000 ± 1e-10" in fold
-    assert "From 1.2000 to 1.8500 it depends on the start" in lines[4]
-    assert "-2.7 %" in lines[5]
-
-
 def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys):
     def stopped(chain, **_):
         raise KeyboardInterrupt
@@ -449,16 +418,6 @@ def test_basins_names_missing_numbers(found, basins_found, workplace, capsys):
     assert "share: The belt does not move" in capsys.readouterr().out
 
 
-@pytest.mark.long
-def test_basins_prints_the_computed_numbers(found, workplace, capsys):
-    assert main(["basins", "--json", "--width", "0.01", "--belt-speed=-1.78"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    # The belt runs backward: up is what is down for one that runs ahead.
-    assert told["blow_down_dry"] == pytest.approx(1.7243769732, abs=1e-9)
-    assert told["blow_up"] == pytest.approx(1.7474999087, abs=1e-9)
-    assert 0 < told["share_dry"] < told["share"] < 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -488,31 +447,6 @@ def test_status_shows_the_progress_of_a_store(workplace, monkeypatch, capsys):
     monkeypatch.setattr("jaxchain.sweeps.store.stores_in", lambda folder: [folder / "a.zarr"])
     assert main(["status", ".", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"stores": [status]}
-
-
-def test_ctrl_c_that_compiled_code_turns_into_another_error_is_an_interruption(
-    workplace, made_up_sweep, monkeypatch, capsys
-):
-    whole = running.sweep
-
-    def stopped(chain, *arguments, **options):
-        if chain.n == 3:
-            with contextlib.suppress(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGINT)
-            raise ValueError("static arguments should be comparable")
-        return whole(chain, *arguments, **options)
-
-    monkeypatch.setattr(running, "sweep", stopped)
-    # A job in the background ignores the signal otherwise.
-    usual = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        status = main(["run", "two.toml", "--no-plot", "--quiet"])
-    finally:
-        signal.signal(signal.SIGINT, usual)
-    assert status == 130
-    first, last = capsys.readouterr().err.splitlines()
-    assert first == "jaxchain: interrupted"
-    assert last.endswith("`jaxchain resume results/two` goes on with it")
 
 
 def test_status_shows_a_run_without_stores(workplace, made_up_sweep, monkeypatch, capsys):

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
@@ -94,10 +93,3 @@ def test_every_loop_is_compiled_whole(make, n, width, observe, most):
 def test_a_chain_and_its_start_are_one_program(compiled):
     equation_8(paper_chain(37, 1.5, 1e-2), 2)  # of a size that no other test has
     assert len(compiled) <= 1, compiled
-
-
-@pytest.mark.long
-def test_a_search_for_a_cycle_compiles_few_programs(compiled):
-    jax.clear_caches()
-    find_limit_cycle(paper_chain(1, width=0.05, belt_speed=1.4))
-    assert len(compiled) <= 16, compiled

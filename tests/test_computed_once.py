@@ -55,15 +55,3 @@ def test_numbers_are_spread_over_masses_forward_and_back_in_a_batch(shape, axes)
     np.testing.assert_array_equal(twice, jnp.stack([0.0 * expected, expected]))
     each = jax.vmap(jax.jacfwd(spread), axes)(x, like)
     np.testing.assert_array_equal(jnp.sum(each, axis=tuple(range(2, each.ndim))), 1.0)
-
-
-def test_a_loop_over_all_masses_of_all_runs_has_one_index():
-    def loops(way):
-        def program(x):
-            return way(jnp.sin(x) * x)
-
-        text: Any = jax.jit(jax.vmap(program)).lower(jnp.ones((8, 20))).compile().as_text()
-        return "f64[160]{0} fusion(" in text
-
-    assert loops(flatten)
-    assert not loops(materialize)

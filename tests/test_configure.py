@@ -127,16 +127,6 @@ def test_options_of_the_user_stay(own, flags, untouched, monkeypatch):
     assert untouched == {"jax_enable_x64": True}
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("XLA_FLAGS", "--xla_force_host_platform_device_count=4"), ("JAX_NUM_CPU_DEVICES", "3")],
-)
-def test_the_number_of_devices_of_the_user_stays(name, value, untouched, monkeypatch):
-    monkeypatch.setenv(name, value)
-    jaxchain.configure(whole_loops=False)
-    assert "jax_num_cpu_devices" not in untouched
-
-
 def test_programs_are_kept_where_the_user_wants_them(untouched, monkeypatch, tmp_path):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     jaxchain.configure(cache=True)
@@ -148,3 +138,13 @@ def test_programs_are_kept_where_the_user_wants_them(untouched, monkeypatch, tmp
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nowhere")
     jaxchain.configure(cache=True)
     assert "jax_compilation_cache_dir" not in untouched
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("XLA_FLAGS", "--xla_force_host_platform_device_count=4"), ("JAX_NUM_CPU_DEVICES", "3")],
+)
+def test_the_number_of_devices_of_the_user_stays(name, value, untouched, monkeypatch):
+    monkeypatch.setenv(name, value)
+    jaxchain.configure(whole_loops=False)
+    assert "jax_num_cpu_devices" not in untouched

@@ -8,20 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from matplotlib import pyplot as plt
 
 from jaxchain.boundaries.fold import fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
-from jaxchain.cycles.averaging import dry_summits, one_mass
 from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
-from jaxchain.model.initial_states import equation_8
 from jaxchain.model.provenance import parameters_of
-from jaxchain.observers.amplitude import Amplitude
-from jaxchain.plotting.model import plot_friction_law
-from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.simulation.run import simulate
 
 
 class Own(AbstractFrictionLaw):
@@ -81,25 +74,6 @@ def test_the_hopf_speed_of_an_own_law_and_its_gradient_are_the_closed_form():
     chain = Chain(1, TanhFriction(Own(1.0, 0.5, 0.5), 1e-3), 1.0)  # numbers of Python
     points = hopf_points(chain.with_(damping_ratio=0.05)).belt_speed
     np.testing.assert_allclose(points[-1], 0.5 * np.log(10.0), rtol=1e-10)
-
-
-# Numbers per mass are reduced to one mass, and equal ones to one number: weights are not.
-@pytest.mark.long
-def test_a_neural_network_is_a_law():
-    paper = paper_chain(2, 1.5, None)
-    own = paper.with_(friction=network())
-    one, other = (
-        simulate(
-            chain, equation_8(chain, 2), 20.0, observe=Amplitude(window=10.0),
-            solver=EventDriven(6),
-        ).observed
-        for chain in (own, paper)
-    )  # fmt: skip
-    agree(one, other, 1e-6)
-    agree(dry_summits(one_mass(own, 0)), dry_summits(one_mass(paper, 0)))
-    drawn, of_paper = (plot_friction_law(chain).get_lines() for chain in (own, paper))
-    agree([line.get_ydata() for line in drawn], [line.get_ydata() for line in of_paper])
-    plt.close("all")
 
 
 @pytest.mark.long

@@ -88,16 +88,3 @@ def test_values_and_derivatives_are_those_of_the_unrolled_loop():
     np.testing.assert_allclose(lanes, jax.jit(jax.vmap(jax.grad(plain)))(LANES), rtol=1e-12)
     # Outside `jit` each operation is a program of its own.
     np.testing.assert_allclose(jax.grad(total)(AT), slope, rtol=1e-12)
-
-
-def test_jacobians_of_lanes_and_second_derivatives():
-    def ours(lanes, at):
-        jacobians = jax.vmap(jax.jacrev(lambda k: total(k) * k))(lanes)
-        return jacobians, jax.jacfwd(jax.jacrev(total))(at)
-
-    def theirs(lanes, at):
-        return jax.vmap(jax.jacfwd(lambda k: plain(k) * k))(lanes), jax.hessian(plain)(at)
-
-    found, expected = jax.jit(ours)(LANES, AT), jax.jit(theirs)(LANES, AT)
-    np.testing.assert_allclose(found[0], expected[0], rtol=1e-12)
-    np.testing.assert_allclose(found[1], expected[1], rtol=1e-11)

@@ -70,6 +70,20 @@ FENCES = {
     for module, name, text in DOCSTRINGS
     for k, code in enumerate(fenced(text))
 }
+# Those that take longer than most; quicker tests hold what they show, too.
+LONG = {
+    "basins.classifiers.AbstractClassifier", "basins.edges.edge_state",
+    "basins.shares.share_differences", "boundaries.descent.fold_by_descent",
+    "boundaries.limit.extrapolated_fold", "boundaries.ranges.stability_range",
+    "boundaries.special_curves.find_special_cycle", "chaos.classification.Criteria",
+    "chaos.classification.verdicts", "cycles.branches.switch_cycle",
+    "cycles.deflation.find_limit_cycles", "cycles.symmetry.cycle_symmetry",
+    "inverse.optimal_design.design", "localization.fronts.front_speed",
+    "localization.patterns.pattern_guess", "localization.patterns.phase_model",
+    "localization.patterns.rotating_wave", "model.ready_made.LuGre",
+    "model.ready_made.Pendulums", "plotting.branches.plot_special_curves",
+    "plotting.fits.plot_profile",
+}  # fmt: skip
 README_FENCES = list(fenced(README.read_text(encoding="utf-8")))
 
 
@@ -84,6 +98,7 @@ def test_every_public_name_has_an_example_or_refers_to_one():
         if short & set(re.findall(r"`(\w+)", text))
     }
     assert sorted(PUBLIC - shown - named) == []
+    assert sorted(LONG - PROMPTS.keys()) == []
 
 
 def run(name):
@@ -102,7 +117,9 @@ def run(name):
 
 
 @pytest.mark.examples
-@pytest.mark.parametrize("name", PROMPTS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.long] * (name in LONG)) for name in PROMPTS]
+)
 def test_an_example_prints_the_stated_output(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     run(name)

@@ -7,7 +7,6 @@ one that begins with `{code-block} python`.
 
 import re
 import shlex
-import tomllib
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -39,8 +38,12 @@ READ = {
 }
 
 
-# All that the paper says, found again, takes minutes.
-LONG = ("explanation/paper.md",)
+# All that the paper says, found again, takes minutes; others do what a shorter page does, too.
+LONG = (
+    "explanation/paper.md", "explanation/basins.md", "explanation/fold_is_a_grazing.md",
+    "explanation/smoothing.md", "coming_from/bifurcationkit.md", "faq.md", "guides/custom_cell.md",
+    "guides/gradients.md",
+)  # fmt: skip
 CODE = [
     pytest.param(name, marks=[pytest.mark.long] * (name in LONG))
     for name, text in TEXTS.items()
@@ -49,7 +52,7 @@ CODE = [
 
 
 @pytest.mark.examples
-@pytest.mark.filterwarnings("default")
+@pytest.mark.filterwarnings("default")  # a page may show what is warned of
 @pytest.mark.parametrize("name", CODE)
 def test_the_code_of_a_page_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -119,35 +122,6 @@ def test_the_page_on_failures_lists_every_outcome():
     searches = " ".join(line.split("|")[1] for line in tables[len(NAMES) :])
     known = set(SEARCH_NAMES)
     assert set(searches.replace("`", "").replace(",", "").split()) == known
-
-
-def test_the_first_page_has_the_words_that_people_search_for_and_their_own_numbers():
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    for words in ("friction-induced vibration", "stick-slip", "brake squeal"):
-        assert words in text.split("```")[0]
-        assert words in project["keywords"]
-    code = fenced(text)[0]
-    assert all(name in code for name in (" Chain(", "jax.grad("))
-    assert "paper_chain" not in code
-    lines = text.splitlines()
-    commands = (
-        "git clone ",
-        "pip install . && jaxchain run fig3",
-        "pip install '.[test]' && pytest",
-    )
-    assert all(any(line.startswith(command) for line in lines) for command in commands)
-
-
-def test_a_version_of_the_changelog_has_each_heading_once():
-    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
-    versions = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
-    for version in versions:
-        found = [words for level, words in headings(version) if level == 3]
-        assert len(set(found)) == len(found), version.splitlines()[0]
-    news = next(version for version in versions if version.startswith("[0.2.0]"))
-    assert headings(news)[:2] == [(3, "Highlights"), (3, "What breaks")]
-    assert len(re.findall(r"^\d+\. ", news, re.MULTILINE)) == 10
 
 
 def test_the_questions_name_every_kind_of_special_point():

@@ -90,7 +90,7 @@ def test_without_them_runs_and_forward_derivatives_are_the_same():
 
 
 def test_what_cannot_be_differentiated_is_refused_without_equinox_too():
-    guarded = lambda x: _internals._guard(x, msg="take the other function")  # noqa: E731
+    guarded = lambda x: _internals._guard(x, msg="take the other function")
     assert guarded(2.0) == 2.0
     assert jax.jit(jax.grad(lambda x, y: x * guarded(y)))(3.0, 2.0) == 2.0
     with pytest.raises(RuntimeError, match="take the other function"):

@@ -38,20 +38,6 @@ def notebook(request):
     return list(cells(request.param))
 
 
-def test_there_are_notebooks():
-    assert len(NOTEBOOKS) >= 8
-
-
-def test_a_notebook_opens_with_a_question_and_its_first_code_or_text_has_a_picture(notebook):
-    kind, text, _ = notebook[0]
-    assert kind == "markdown"
-    assert text.startswith("# ")
-    assert re.search(r"^\*\*[^*]+\?", text, flags=re.MULTILINE)
-    _, _, outputs = notebook[1]
-    shown = any("image/png" in output.get("data", {}) for output in outputs)
-    assert shown or re.search(r"!\[[^\]]+\]\([\w/]+\.png\)", text)
-
-
 def test_a_notebook_uses_public_names_by_room(notebook):
     for kind, code, _ in notebook:
         if kind != "code":
@@ -63,12 +49,6 @@ def test_a_notebook_uses_public_names_by_room(notebook):
             assert module == "jaxchain" or module.removeprefix("jaxchain.") in jaxchain.SUBMODULES
             assert name in importlib.import_module(module).__all__
         assert not re.search(r"\.\_[a-z]", code)  # nothing private
-
-
-def test_a_notebook_ends_with_an_exercise_and_its_answer(notebook):
-    _, text, _ = notebook[-1]
-    assert "## Try it" in text
-    assert re.search(r"<details><summary>.+</summary>\n\n.+\n\n</details>", text, flags=re.DOTALL)
 
 
 def test_a_notebook_has_its_pictures_and_prints_nothing_of_the_machine(notebook):

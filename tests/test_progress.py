@@ -42,20 +42,6 @@ def test_a_log_gets_a_line_a_minute_and_one_at_the_end(monkeypatch, clock):
     assert "<" in lines[0]
 
 
-def test_what_counts_by_itself_and_what_has_no_total(monkeypatch, clock):
-    log = io.StringIO()
-    monkeypatch.setattr("sys.stderr", log)
-    for _ in progress_bar(range(130), show=True, desc="over", unit="item"):
-        clock[0] += 1.0
-    with progress_bar(show=True, desc="open", unit="point") as bar:
-        bar.set_postfix_str("here")
-        bar.update(3)
-    lines = log.getvalue().splitlines()
-    assert [line.split("[")[0] for line in lines[-2:]] == ["over: 100% 130/130 ", "open: 3 "]
-    assert lines[-1].endswith("point/s, here]")
-    assert len(lines) <= 4
-
-
 def test_a_terminal_gets_a_bar_in_place(monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)

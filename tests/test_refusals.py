@@ -37,7 +37,7 @@ def unchecked():
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
+@pytest.mark.filterwarnings("ignore")  # some are numbers of SI units, which are warned of, too
 def test_a_bad_argument_is_refused_by_name_with_its_value_and_what_helps():
     tried, faults = set(), []
     for submodule in SUBMODULES:

@@ -187,7 +187,7 @@ def main():
         parts.append(measure(folder / f"coupling {coupling:g}", ring, size.some_speeds, coupling))
     over_coupling = xr.concat(parts, pd.Index(size.coupling, name="coupling")).isel(seed=0)
     edges = pinning(size.pinning, size.edge_coupling, size.halvings)
-    surely = lambda data: data.where(np.abs(data["mean"]) > data.bar)  # noqa: E731
+    surely = lambda data: data.where(np.abs(data["mean"]) > data.bar)
     moving = surely(over_coupling)
     other = surely(oscillators(folder / "van der Pol.zarr", size.oscillators, size.other_coupling))
     every = [moving.sel(belt_speed=speed) for speed in moving.belt_speed.values] + [other]

@@ -90,7 +90,7 @@ class Mass:
                     force = -side * self.mu(y[1] - self.v_d)
                     return y[1], force - 2 * self.xi * y[1] - self.k * y[0]
 
-                lands = lambda t, y, side: y[1] - self.v_d  # noqa: E731
+                lands = lambda t, y, side: y[1] - self.v_d
                 lands.terminal, lands.direction = True, -side
                 run = solve_ivp(
                     slope, (t, self.end), (x, v), "DOP853", args=(side,), rtol=1e-12, atol=1e-14,

@@ -254,7 +254,7 @@ class VibratingMasses(AbstractClassifier):
             now = eqx.tree_at(lambda a: a.peaks, now, jnp.stack([latest, before]))
         over = step.t1 >= now.ends
         # One branch for the whole batch; lanes whose window is not over do not change.
-        look = lambda: self._look(now, step)  # noqa: E731
+        look = lambda: self._look(now, step)
         looked = lax.cond(unvmap_any(over), look, lambda: now)
         return where(over, looked, now)
 

@@ -146,7 +146,7 @@ class Amplitude(AbstractObserver):
             return jnp.where(watching, low, acc.low), jnp.where(watching, high, acc.high)
 
         # One branch for the whole batch, and nothing else before the first window.
-        nothing = lambda: (acc.low, acc.high)  # noqa: E731
+        nothing = lambda: (acc.low, acc.high)
         low, high = lax.cond(unvmap_any(watching), with_peaks, nothing)
         rest = None if acc.rest is None else self._rest(counts, acc.rest, step)
         history = None

@@ -165,7 +165,7 @@ class AbstractSection(AbstractStatesAtEvents):
             parts = (middle, between, *bracket[2:]), (*bracket[:2], middle, between)
             bracket = tuple(jnp.where(again, b, a) for b, a in zip(*parts, strict=True))
         if step.rates is None and self.of == "displacement":
-            velocity = lambda theta: step.velocity(theta)[self.oscillator]  # noqa: E731
+            velocity = lambda theta: step.velocity(theta)[self.oscillator]
             theta = lax.stop_gradient(zeros(velocity, peaks, first, last, elsewhere=1.0))
         else:
             theta = self._fastest(step, peaks, *bracket)

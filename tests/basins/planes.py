@@ -54,7 +54,7 @@ class Plane:
 
     def cycle(self, inner, outer):
         """The unstable cycle: its rightmost x, between rest + `inner` and rest + `outer`."""
-        gap = lambda r: self.back(self.rest + r)[0] - self.rest - r  # noqa: E731
+        gap = lambda r: self.back(self.rest + r)[0] - self.rest - r
         return self.rest + brentq(gap, inner, outer, xtol=1e-14)
 
     def area(self, right, displacement, velocity):
@@ -82,7 +82,7 @@ class Plane:
     def at_rest(self, right):
         """(velocity upward, velocity downward) of the cycle at the x of rest."""
         _, period = self.back(right)
-        passes = lambda t, y: y[0] - self.rest  # noqa: E731
+        passes = lambda t, y: y[0] - self.rest
         run = solve_ivp(self.field, (0.0, period), [right, 0.0], events=passes, **EXACT)
         velocities = run.y_events[0][:, 1]
         return velocities.max(), -velocities.min()

@@ -136,7 +136,7 @@ def test_the_normal_and_the_derivative_are_those_of_the_energy_at_a_time(monkeyp
 
     monkeypatch.setattr(blows, "energy_after", energy)
     time, size, kick = jnp.asarray(0.3), jnp.asarray(0.7), jnp.array([0.1, -0.4])
-    embed = lambda parts: jnp.zeros(3).at[jnp.array([2, 0])].set(parts)  # noqa: E731
+    embed = lambda parts: jnp.zeros(3).at[jnp.array([2, 0])].set(parts)
     slope = (QUADRIC @ embed(kick))[np.array([2, 0])]
 
     def attached(speed):
@@ -231,7 +231,7 @@ def test_no_other_direction_of_two_masses_is_as_gentle():
     @eqx.filter_jit
     def sizes(directions):
         trials = Trials.of(TWO)
-        along = lambda u: threshold(trials, u, *upwards(trials), 1e-7).low  # noqa: E731
+        along = lambda u: threshold(trials, u, *upwards(trials), 1e-7).low
         return jax.vmap(along)(directions)
 
     every = sizes(directions)

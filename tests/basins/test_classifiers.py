@@ -38,16 +38,16 @@ def decided(classify, numbers, t1, dt=0.25):
 
     def run(own, numbers, t1):
         own = eqx.combine(own, kind)
-        at = lambda t: jax.jvp(lambda t: motion(numbers, t), (t,), (jnp.ones_like(t),))  # noqa: E731
+        at = lambda t: jax.jvp(lambda t: motion(numbers, t), (t,), (jnp.ones_like(t),))
 
         def step(now):
             a, seen = now
-            part = lambda theta, k: at(a + jnp.asarray(theta) * dt + jnp.zeros(6))[k]  # noqa: E731
+            part = lambda theta, k: at(a + jnp.asarray(theta) * dt + jnp.zeros(6))[k]
             first, last = (at(t + jnp.zeros(6)) for t in (a, a + dt))
             return a + dt, own.update(seen, Step(CHAIN, a, a + dt, first, last, part))
 
         start = jnp.asarray(0.0), own.init(CHAIN, jnp.asarray(0.0), t1, at(jnp.zeros(6)))
-        going = lambda now: (now[0] < t1) & ~own.settled(now[1])  # noqa: E731
+        going = lambda now: (now[0] < t1) & ~own.settled(now[1])
         t, seen = jax.lax.while_loop(going, step, start)
         return own.read(seen), t
 
@@ -109,7 +109,7 @@ def test_phases_of_neighbours():
     # Delays to the mass before: none (it is quiet), 0, 1/2, 1/4 of a period.
     classify = VibratingMasses(by="masses", phases=True)
     on, delays = np.array([1.5] * 4 + [0.0] * 2), np.array([0, 0, 2, 3, 0, 0]) * np.pi / 2
-    turn = lambda values: np.roll(values[::-1], 2)  # noqa: E731
+    turn = lambda values: np.roll(values[::-1], 2)
     (found, _), (turned, _), (even, end) = all_decided(
         (classify, harmonic(on, phase=delays), 200.0),
         # Read from the other side the same pairs stand in the other order.

@@ -93,7 +93,7 @@ def test_starts_have_derivatives_in_the_edges():
 
 def test_a_region_that_does_not_fit_is_refused():
     pairs = r"make the pair \(displacement, velocity\) of shape \(3,\)"
-    none: Any = lambda chain, point: point  # noqa: E731
+    none: Any = lambda chain, point: point
     with pytest.raises(ValueError, match=pairs):
         check_region(Sampler(none, 2), CHAIN)
     with pytest.raises(ValueError, match=pairs):

@@ -29,7 +29,7 @@ def area(radius, box):
     times = jnp.linspace(0.0, 2.0 * jnp.pi, 97) + 0.1
     x, v = radius * jnp.sin(times), radius * jnp.cos(times)
     points = jnp.stack([x, v, -x], axis=1)
-    step = lambda a, b: area_of_step(a, b, times[1] - times[0], box[:2], box[2:])  # noqa: E731
+    step = lambda a, b: area_of_step(a, b, times[1] - times[0], box[:2], box[2:])
     return jnp.sum(jax.vmap(step)(points[:-1], points[1:]))
 
 

@@ -1,14 +1,12 @@
 """The first Lyapunov coefficient against a closed form and against cycles by harmonic balance."""
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
 
 from jaxchain import Chain, TanhFriction, paper_chain, steady_sliding
-from jaxchain.boundaries import find_hopf_point
 from jaxchain.boundaries.equilibria import Rates, lyapunov_coefficient
 from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.model.friction import AbstractFrictionLaw
@@ -55,21 +53,6 @@ def test_one_mass_has_the_closed_form():
     for a3, kind in ((0.3, "subcritical"), (-0.3, "supercritical"), (0.0, "degenerate")):
         points = hopf_points(polynomial_oscillator(0.7, a3, 1.3), (0.7, 1.3))
         assert points.criticality == (kind,)
-
-
-@pytest.mark.long
-def test_its_slopes_along_the_hopf_curve_are_those_of_differences():
-    """Mistuned masses, whose eigenvectors turn as the damping of all of them grows."""
-    chain = MISTUNED.with_(belt_speed=1.2)
-
-    def found(xi):
-        point = find_hopf_point(chain.with_(damping_ratio=xi), "belt_speed", frequency=1.1)
-        return point.lyapunov_coefficient
-
-    h = 1e-4
-    slope = (found(0.05 + h) - found(0.05 - h)) / (2 * h)
-    for derivative in (jax.grad, jax.jacfwd):
-        assert float(derivative(found)(0.05)) == pytest.approx(float(slope), rel=1e-5)
 
 
 def balanced(chain, speed, omega, shape, amplitude):
@@ -136,10 +119,9 @@ MISTUNED = paper_chain(3, width=0.1).with_(
     ("chain", "amplitude"),
     [
         pytest.param(MISTUNED, 0.003, marks=pytest.mark.long),
-        (paper_chain(1), 0.01),
-        pytest.param(paper_chain(1, width=0.2), 0.003, marks=pytest.mark.long),
+        pytest.param(paper_chain(1), 0.01, marks=pytest.mark.long),
     ],
-    ids=["mistuned", "one mass", "one mass, wide smoothing"],
+    ids=["mistuned", "one mass"],
 )
 def test_cycles_branch_off_with_the_slope_that_the_coefficient_says(chain, amplitude):
     points = hopf_points(chain, (0.0, 3.0))
@@ -151,9 +133,7 @@ def test_cycles_branch_off_with_the_slope_that_the_coefficient_says(chain, ampli
         assert float(points.square_amplitude_slope[k]) == pytest.approx(found, rel=5e-3)
 
 
-@pytest.mark.parametrize(
-    ("n", "m"), [(3, 1), *(pytest.param(*p, marks=pytest.mark.long) for p in ((4, 1), (5, 2)))]
-)
+@pytest.mark.parametrize(("n", "m"), [(3, 1), pytest.param(4, 1, marks=pytest.mark.long)])
 def test_travelling_and_standing_waves_of_a_ring_branch_off_as_they_should(n, m):
     chain = paper_chain(n).with_(coupling=0.3)
     points = hopf_points(chain, (0.5, 2.0))

@@ -26,13 +26,6 @@ def test_descent_arrives_at_the_closed_form_and_tells_its_way():
     np.testing.assert_allclose(rates, -0.5 * (0.1 - np.exp(-2 * way)), atol=1e-12)
 
 
-def test_plain_gradient_descent_stalls_far_above_the_boundary_and_says_so():
-    found = hopf_by_descent(paper_chain(1), 6.0, optax.sgd(10.0), steps=50)
-    assert not found.successful
-    assert int(found.steps) == 50
-    assert float(found.belt_speed) > 5.9
-
-
 def test_a_step_that_is_far_too_long_ends_at_a_positive_speed():
     found = hopf_by_descent(paper_chain(1), 2.0, optax.sgd(2000.0), steps=3)
     assert float(found.speeds[1]) == pytest.approx(0.2)  # a tenth is left; -1 without the edge

@@ -5,10 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import hopf_belt_speed, paper_chain, steady_sliding
 from jaxchain.boundaries import (
     continue_equilibrium,
-    continue_special,
     find_equilibrium,
     find_hopf_point,
 )
@@ -51,7 +49,7 @@ def test_an_equilibrium_is_that_of_the_closed_form_with_its_slopes():
     )  # fmt: skip
     assert found.stable
     start = found.state
-    y = lambda b: find_equilibrium(brusselator().with_(b=b), start).state[1][0]  # noqa: E731
+    y = lambda b: find_equilibrium(brusselator().with_(b=b), start).state[1][0]
     values, slopes = jax.jit(jax.vmap(jax.value_and_grad(y)))(jnp.array([1.0, 2.0]))
     np.testing.assert_allclose(values, [1 / 1.2, 2 / 1.2], rtol=1e-12)  # y = b / a
     np.testing.assert_allclose(slopes, 1 / 1.2, rtol=1e-12)
@@ -113,22 +111,6 @@ def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
         cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7), direction=-1
     )
     assert (one_way.p[0], one_way.p[-1], one_way.ended_first) == (-0.2, -0.7, "")
-
-
-def test_a_branch_of_several_masses_is_drawn_by_the_mean_in_its_units():
-    chain = paper_chain(3, belt_speed=1.0, width=1e-2)
-    branch = continue_equilibrium(chain, steady_sliding(chain), "belt_speed", (0.5, 2.0))
-    axes = plot_branch(branch)
-    assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
-    assert axes.get_ylabel() == "mean displacement (–)"
-    (point,) = branch.of_kind("hopf")
-    assert point.p == pytest.approx(float(hopf_belt_speed(chain)), abs=1e-9)
-    with pytest.raises(ValueError, match="`find_hopf_point` and"):
-        continue_special(point, "damping_ratio")
-    stable = branch.to_dataset().stable
-    np.testing.assert_array_equal(stable, stable.belt_speed > point.p)
-    with pytest.raises(ValueError, match=r"around `belt_speed` = 1.* of the model"):
-        continue_equilibrium(chain, steady_sliding(chain), "belt_speed", (1.5, 2.0))
 
 
 def test_failures_are_named():

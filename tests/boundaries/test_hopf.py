@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,8 +18,6 @@ from jaxchain import (
     paper_chain,
 )
 from jaxchain.boundaries.hopf import hopf_belt_speed
-from jaxchain.boundaries.hopf_scan import hopf_points
-from jaxchain.model.friction import AbstractFrictionLaw
 
 EXACT = np.log(10.0) / 2
 
@@ -157,33 +154,3 @@ def test_a_mistuned_chain_loses_stability_where_numpy_says():
     assert np.isnan(
         hopf_belt_speed(paper_chain(3).with_(friction=TanhFriction(Coulomb(0.5), 1e-3)))
     )
-
-
-def test_64_bit_floats_are_asked_for():
-    chain = paper_chain(2)
-    narrow = eqx.tree_at(lambda c: c.damping_ratio, chain, jnp.asarray(0.05, jnp.float32))
-    with pytest.raises(ValueError, match="`chain` holds float32"):
-        hopf_belt_speed(narrow)
-    with jax.enable_x64(False), pytest.raises(RuntimeError, match="64-bit floats"):
-        hopf_belt_speed(chain)
-
-
-class Hyperbolic(AbstractFrictionLaw):
-    """mu_d + (mu_st - mu_d) / (1 + s / v0), which weakens at any speed."""
-
-    mu_static: jax.Array
-    mu_dynamic: jax.Array
-    v_ref: jax.Array
-
-    def coefficient(self, speed):
-        return self.mu_dynamic + (self.mu_static - self.mu_dynamic) / (1.0 + speed / self.v_ref)
-
-
-def test_by_default_hopf_points_looks_as_far_as_the_hopf_speed():
-    law = Hyperbolic(jnp.asarray(1.33011), jnp.asarray(0.693026), jnp.asarray(0.657642))
-    chain = Chain(1, TanhFriction(law, 0.05), 1.2, 0.00643233)
-    points = hopf_points(chain)
-    greatest = float(hopf_belt_speed(chain))
-    assert greatest == pytest.approx(5.0492, abs=1e-4)
-    assert float(points.belt_speed[-1]) == pytest.approx(greatest, rel=1e-12)
-    assert points.belt_speeds == (0.0, 1e6)

@@ -84,31 +84,12 @@ def test_the_multiplier_of_a_single_sticking_mass_is_zero():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("solver", "told"), [(EventDriven(), "time 0;"), (None, "time below 0.")])
-def test_the_verdict_on_a_single_sticking_mass_has_no_number_of_rounding(solver, told):
-    chain, start = paper_chain(n=1, width=1e-2), (jnp.array([2.2]), jnp.zeros(1))
-    found = verdict(chain, start, solver=solver, first=500.0, longest=1000.0, seeds=1)
-    assert found.verdict == "periodic"
-    assert told in found.reason + ";"
-    assert not np.isfinite(found.lead.exponents[1])
-    assert found.lead.high[1] < -1.0
-
-
-@pytest.mark.long
 def test_two_masses_that_know_nothing_of_each_other_are_quasi_periodic():
     found = verdict(pair(stiffness=(1.0, 1.7)), start(), **SETTINGS)
     assert found.verdict == "quasi-periodic", found.reason
     lead = found.lead
     np.testing.assert_allclose(lead.smooth[:2], 0.0, atol=1e-5)
     assert lead.slips > 10
-
-
-@pytest.mark.long
-def test_runs_that_got_farther_than_asked_are_not_asked_for_less():
-    # 20 windows of 50 time units are the least, so that the first look comes at 1000.
-    early = verdict(pair(stiffness=(1.0, 1.7)), start(), **SETTINGS | {"first": 300.0})
-    late = verdict(pair(stiffness=(1.0, 1.7)), start(), **SETTINGS)
-    assert (early.verdict, early.reason) == (late.verdict, late.reason)
 
 
 @pytest.mark.long
@@ -246,73 +227,6 @@ def test_cells_that_are_not_coupled_are_one_of_a_family_or_on_a_torus():
     assert 10 < coupled.lead.relaxation_time < 100
 
 
-class Hidden(AbstractCells):
-    """Van der Pol's oscillator behind a first number that comes to rest, in other units."""
-
-    decay: jax.Array
-
-    def rate(self, t, left, own, right):
-        first, x, v = own
-        return -self.decay * first, 1e-3 * v, 1e3 * ((1 - x**2) * 1e-3 * v - x)
-
-
-@pytest.mark.long
-def test_a_cell_whose_first_number_rests_is_not_at_rest():
-    found = verdict(Hidden(jnp.asarray(1.0)), alone(1, 1, 0), **BRIEF)
-    assert found.verdict == "transient", found.reason  # the maxima of the first number are none
-    assert all(not run.active.any() for run in found.runs)
-    longer = verdict(Hidden(jnp.asarray(1.0)), alone(1, 1, 0), **BRIEF | {"exponent_time": 3e5})
-    assert longer.verdict == "periodic", longer.reason
-    np.testing.assert_allclose(longer.lead.exponents[2], -1.0593770, rtol=1e-4)
-
-
-class Rooted(AbstractCells):
-    """Two free masses of other frequencies, and a number at rest whose rate has no derivative."""
-
-    components = ("x", "v", "y", "w", "z")
-
-    def rate(self, t, left, own, right):
-        x, v, y, w, z = own
-        return v, -x, w, -2.0 * y, -jnp.sqrt(jnp.abs(z))
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_a_run_whose_exponents_fail_has_failed():
-    """It never closes, and no longer run would tell: only its disturbances are NaN."""
-    found = verdict(
-        Rooted(), tuple(jnp.array([[1.0], [0.0], [0.5], [0.0], [0.0]])), noise=(), first=400.0,
-        longest=400.0, exponent_time=50.0, window=20.0, solver=dfx.Tsit5(),
-    )  # fmt: skip
-    assert (found.verdict, found.runs[0].kind) == ("failed", "nonfinite")
-    assert "`nonfinite`" in found.remedy
-    assert "nan" not in found.reason
-
-
-class InUnits(AbstractCells):
-    """Van der Pol's oscillator with velocities, and times, in other units."""
-
-    unit: jax.Array
-    pace: jax.Array
-
-    def rate(self, t, left, own, right):
-        x, v = own[0], own[1] / self.unit
-        return self.pace * v, self.pace * self.unit * ((1 - x**2) * v - x)
-
-
-@pytest.mark.long
-def test_the_verdict_does_not_depend_on_the_units_of_a_number():
-    found = verdict(InUnits(jnp.asarray(1e4), jnp.asarray(1.0)), alone(2, 0), **BRIEF)
-    assert found.verdict == "periodic", found.reason
-    np.testing.assert_allclose(found.lead.period, 6.6632868593231301, rtol=1e-8)
-    # More maxima than are kept: the period is that of the orbit all the same.
-    fast = InUnits(jnp.asarray(1.0), jnp.asarray(20.0))
-    found = verdict(fast, alone(2, 0), **BRIEF | {"first": 500.0, "longest": 500.0})
-    assert found.verdict == "periodic", found.reason
-    np.testing.assert_allclose(found.lead.period, 6.6632868593231301 / 20, rtol=1e-8)
-    assert np.isnan(found.lead.slips)
-
-
 class Clocked(AbstractCells):
     """A force without a word of its period."""
 
@@ -339,6 +253,7 @@ def test_a_state_or_force_of_cells_that_does_not_fit_is_refused(cells, initial, 
             verdicts(cells, tuple(part[None] for part in initial))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("width", [None, 1e-2])
 def test_cells_of_two_displacements_have_verdicts(width):
     """Flutter of two modes on a belt ends in a cycle, whose period a search finds, too."""

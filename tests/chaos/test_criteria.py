@@ -104,12 +104,6 @@ def test_runs_that_would_have_locked_by_now_are_on_another_attractor():
     assert classified(np.nan).verdict == "transient"
 
 
-def test_a_direction_that_sticking_erases_relaxes_at_once():
-    gone = run_of("cycle", exponents=(0.0, -np.inf), locked_at=500.0)
-    assert gone.relaxation_time == gone.longest_relaxation_time == 0.0
-    assert "relaxation time 0;" in classify([gone]).reason + ";"
-
-
 def test_an_unresolved_exponent_is_reported_as_a_bound():
     unseen = run_of(
         "cycle", exponents=(0.0, np.nan), low=np.array([0.0, -np.inf]),
@@ -135,17 +129,6 @@ def test_every_multiplier_may_have_the_error_of_the_trivial_one():
     errors = defect / period * np.array([1.0, *1 / mu])
     np.testing.assert_allclose(found.high - found.exponents, errors, rtol=1e-9)
     np.testing.assert_allclose(found.exponents - found.low, errors, rtol=1e-9)
-
-
-def test_runs_without_exponents_go_with_those_that_have_them():
-    measured = run_of("chaos", 1e-3, (2e-3, 0.0), width=1e-4)
-    assert classify([run_of("open"), measured, run_of("open", 1e-3)]).verdict == "chaotic"
-    # But not with those that have locked.
-    locked = run_of("cycle", 1e-3, (0.0, -1e-3), locked_at=500.0)
-    found = classify([run_of("open"), locked, run_of("open", 1e-3)])
-    assert found.verdict == "transient"
-    assert "1 of 2 runs have ended" in found.remedy
-    assert locked.relaxation_time == 1e3
 
 
 def test_a_forced_motion_has_no_exponent_of_the_flow():

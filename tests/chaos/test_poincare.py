@@ -1,16 +1,9 @@
 """Recurrence in a record of windows: sections, tori, phases, symmetries."""
 
-import jax.numpy as jnp
 import numpy as np
-from systems.oscillators import VanDerPol
 
 from jaxchain.chaos.classification import (
-    Criteria,
-    Evidence,
     RunRecord,
-    VerdictRun,
-    _VerdictTask,
-    judge_orbit,
     mean_periods,
     novelty,
     phases,
@@ -18,7 +11,6 @@ from jaxchain.chaos.classification import (
     reflections,
     symmetry_defect,
 )
-from jaxchain.model.springs import Springs
 
 
 def made_up(delays, periods, windows=20, length=50.0, wander=0.0):
@@ -99,17 +91,3 @@ def test_the_defect_of_a_symmetry_is_the_delay_of_mirror_images():
     record = made_up([0.1, 3.225, 0, 0, 0], np.full(5, 6.25))
     shifted = symmetry_defect(record, pair_of_masses, 6.25)
     np.testing.assert_allclose(shifted, 0.0, atol=1e-12)
-
-
-def test_a_ring_of_other_oscillators_has_the_mirror_images_of_a_ring():
-    """Masses 1 and 2 are images of each other in a ring of three, but not between free ends."""
-    symmetry = {}
-    for ends in ("cyclic", "free"):
-        field = VanDerPol(strength=jnp.asarray(0.5), springs=Springs(jnp.asarray(0.1), ends))
-        task = _VerdictTask(field, None, jnp.asarray(50.0), jnp.asarray(1.0), None, 1e-6, 16, 1)
-        record = made_up([0.0, 1.0, 1.0], np.full(3, 6.25), wander=1.0)  # does not recur
-        record = record._replace(sizes=np.ones((20, 1)))
-        run = VerdictRun(0, (np.ones(3), np.zeros(3)), Evidence(0.0, 0), 1)
-        symmetry[ends] = judge_orbit(task, Criteria(), run, record, []).symmetry
-    np.testing.assert_allclose(symmetry["cyclic"], 0.0, atol=1e-12)
-    np.testing.assert_allclose(symmetry["free"], 1.0 / 6.25, rtol=1e-9)

@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
 from systems.normal_forms import (
     bratu,
     circle,
@@ -24,7 +23,6 @@ from systems.normal_forms import (
     pitchfork,
     sheets,
     unfolded,
-    upright,
 )
 
 import jaxchain
@@ -91,15 +89,6 @@ def test_two_turns_within_a_step_are_folds_however_loose_the_tolerance():
         hits(branch, [height, -height], (d, tolerance, start))
 
 
-def test_where_p_is_constant_to_rounding_nothing_folds():
-    how = {"direction": [1.0, 3.0, 0.0], "max_points": 100}
-    for tolerance in (1e-3, 1e-12):
-        branch = continue_branch(upright, [0.0, 0.0], 0.3, tolerance=tolerance, **how)
-        assert len(branch.p) == 100
-        assert branch.special == (), tolerance
-        np.testing.assert_allclose(branch.p, 0.3, atol=1e-8)
-
-
 def test_tests_and_branch_points_say_their_error_and_keep_it():
     for tolerance in (1e-3, 1e-6, 1e-10):
         branch = continue_branch(
@@ -141,22 +130,6 @@ def test_a_pitchfork_and_its_imperfection():
     assert branch.u[-1, 0] < -1.0
 
 
-def rough(u, p, size):
-    exact = jnp.stack([u[0] * (p - 1.2 - u[0] ** 2), u[1] - jnp.sin(p) - u[0]])
-    return exact + lax.stop_gradient(size * jnp.sin(1e10 * (u + 2.0 * p)))
-
-
-def test_errors_of_the_residual_do_not_end_a_branch_where_another_crosses():
-    start, size = [0.3, np.sin(1.29) + 0.3], jnp.array(1e-12)
-    how = {"direction": -1, "max_step": 0.1, "max_points": 40, "tolerance": 1e-9}
-    for step in (0.02, 0.05, 0.08):
-        branch = continue_branch(rough, start, 1.29, size, step=step, **how)
-        assert branch.u[-1, 0] < -0.3, step
-        (point,) = branch.special
-        assert point.kind == "branch point"
-        assert abs(point.p - 1.2) <= point.error < 1e-5, step
-
-
 def test_it_stays_on_its_side_of_a_near_miss_and_on_its_sheet():
     for gap in (1e-1, 1e-4):
         branch = continue_branch(hyperbola, [1.0], -1.0, jnp.array(gap), bounds=(-2, 1))
@@ -193,21 +166,6 @@ def test_bratu_converges_to_the_known_fold_with_second_order():
     assert counts.solves <= len(plain.p) + counts.rejected + 6
     assert counts.jacobians <= 1.1 * counts.solves
     assert counts.values <= 8 * counts.solves
-
-
-def test_another_branch_of_the_same_residual_compiles_nothing():
-    traces = []
-
-    def residual(u, p, args):
-        traces.append(1)
-        return u**3 - args["a"] * u + p
-
-    continue_branch(residual, [-1.2], 0.528, {"a": 1.0}, max_points=5)
-    once = len(traces)
-    how = {"direction": -1, "step": 0.02, "tolerance": 1e-9, "max_turn": 0.1, "max_points": 30}
-    branch = continue_branch(residual, [1.0], 0.0, {"a": 1.1}, **how)
-    assert len(branch.p) == 30
-    assert len(traces) == once
 
 
 def test_the_caller_s_jacobian_is_used_instead_and_weights_measure_the_steps():
@@ -261,25 +219,6 @@ def test_the_other_branch_of_a_pitchfork():
     fold = continue_branch(circle, [1.0], 0.0).special[0]
     with pytest.raises(ValueError, match='must be of kind "branch point", but is a "fold"'):
         switch_branch(circle, fold)
-
-
-def test_from_branch_to_branch_of_two_coupled_pitchforks():
-    c = jnp.array(0.2)
-    zero = continue_branch(pair, [0.0, 0.0], -0.3, c, bounds=(-1, 1))
-    np.testing.assert_allclose([s.p for s in zero.of_kind("branch point")], [0.0, 0.4], atol=1e-7)
-
-    start: Any = switch_branch(pair, zero.of_kind("branch point")[1], c)
-    odd = continue_branch(pair, start.u, start.p, c, direction=start.direction, bounds=(-1, 1))
-    np.testing.assert_allclose(odd.u[:, 0], -odd.u[:, 1], atol=1e-10)
-    np.testing.assert_allclose(odd.p, 0.4 + odd.u[:, 0] ** 2, atol=1e-10)
-    (breaking,) = odd.of_kind("branch point")
-    np.testing.assert_allclose(breaking.p, 0.6, atol=1e-7)
-
-    start: Any = switch_branch(pair, breaking, c)
-    lone = continue_branch(pair, start.u, start.p, c, direction=start.direction, bounds=(-1, 1))
-    assert lone.ended == "left_bounds"
-    np.testing.assert_allclose(lone.u[:, 0] * lone.u[:, 1], -0.2, atol=1e-10)
-    np.testing.assert_allclose(np.sum(lone.u**2, axis=1), lone.p - 0.2, atol=1e-10)
 
 
 def test_the_end_of_a_branch_is_named_and_nothing_is_lost():

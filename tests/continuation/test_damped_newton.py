@@ -84,19 +84,6 @@ def test_a_search_says_why_it_failed():
     assert newton(arctan, jnp.array([2.0])).message == ""
 
 
-def test_other_numbers_compile_nothing():
-    traces = []
-
-    def residual(u, a):
-        traces.append(1)
-        return u**2 - a
-
-    newton(residual, jnp.ones(1), 2.0)
-    once = len(traces)
-    newton(residual, jnp.array([3.0]), 5.0, tolerance=1e-8, max_steps=9)
-    assert len(traces) == once
-
-
 def test_factors_solve_and_know_the_determinant():
     rng = np.random.default_rng(1)
     rows = rng.normal(size=(5, 5)) * 10.0 ** rng.uniform(-3, 3, 5)[:, None]

@@ -46,7 +46,7 @@ def test_a_thousand_lanes_with_and_without_a_fold_and_its_derivative():
 
 
 def test_the_null_vector_and_the_scale_of_rows():
-    m = 12
+    m = 6
     u = np.sin(np.pi * np.arange(1, m + 1) / (m + 1))
     rows = 10.0 ** np.random.default_rng(0).uniform(-3, 3, m)
     plain, scaled = (fold_point(bratu, u, 3.5, r) for r in (np.ones(m), rows))
@@ -60,24 +60,3 @@ def test_the_null_vector_and_the_scale_of_rows():
     # The second singular value, the witness: F_u is singular there and nowhere near.
     singular = np.linalg.svd(slope, compute_uv=False)
     assert singular[-1] < 1e-9 * singular[0] < singular[-2]
-
-
-def test_the_short_derivative_of_g_is_the_long_one():
-    u = jnp.array([0.3, -0.2, 0.5])
-    b, c = jnp.array([1.0, 0.2, -0.3]), jnp.array([0.4, 1.0, 0.1])
-
-    def residual(u, p, args):
-        return jnp.roll(u, 1) * u**2 - p * u + jnp.sin(args * u)
-
-    def singularity(z, args):
-        slope = jax.jacfwd(residual)(z[:-1], z[-1], args)
-        matrix = jnp.block([[slope, b[:, None]], [c[None, :], jnp.zeros((1, 1))]])
-        return jnp.linalg.solve(matrix, jnp.array([0.0, 0.0, 0.0, 1.0]))[-1]
-
-    def short(z, args):
-        return fold_residual(residual)(z, (args, (b, c)))[-1]
-
-    z = jnp.append(u, 0.7)
-    found, expected = (jax.jit(jax.jacfwd(g, (0, 1)))(z, 1.1) for g in (short, singularity))
-    np.testing.assert_allclose(found[0], expected[0], rtol=1e-11)
-    np.testing.assert_allclose(found[1], expected[1], rtol=1e-11)

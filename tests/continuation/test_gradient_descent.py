@@ -30,18 +30,6 @@ def test_plain_descent_on_a_parabola_halves_the_distance_in_every_step():
     assert found.solution.tolist() == [0.5**14, 3.0]
 
 
-def test_any_optimiser_and_any_pytree():
-    def rosenbrock(point):
-        return (1.0 - point["a"]) ** 2 + 10.0 * (point["b"][0] - point["a"] ** 2) ** 2
-
-    start = {"a": jnp.asarray(-0.5), "b": jnp.array([0.5])}
-    search = jax.jit(lambda x: descend(rosenbrock, x, optax.adam(0.05), 3000, 1e-16))
-    found = search(start)
-    assert found.successful
-    assert float(found.solution["a"]) == pytest.approx(1.0, abs=1e-6)
-    assert found.path["b"].shape == (3001, 1)
-
-
 def test_a_loss_with_a_loop_that_nothing_can_go_back_through():
     def root_by_iteration(x):  # sqrt(x) by Heron's method, as long as it takes
         return lax.while_loop(

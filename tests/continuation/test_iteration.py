@@ -1,6 +1,5 @@
 """The loop of a search against a loop in Python, and steps that are shortened."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
@@ -36,19 +35,6 @@ def test_it_ends_where_the_search_ends_or_at_the_limit():
         for _ in range(steps):
             expected = 0.5 * (expected + 2.0 / expected) if expected else np.inf
         assert float(x) == expected
-
-
-def test_the_searches_of_a_batch_end_separately_and_a_step_knows_its_number():
-    def sum_up(x, k):
-        return x + k
-
-    def large(x):
-        return of.where(x > 5, of.successful, of.max_steps_reached)
-
-    x, result, count = jax.vmap(lambda x: iterate(sum_up, x, large, 4))(jnp.array([6, 3, 0, -9]))
-    assert x.tolist() == [6, 6, 6, -3]
-    assert count.tolist() == [0, 3, 4, 4]
-    assert (result == of.successful).tolist() == [True, True, True, False]
 
 
 def test_a_rejected_step_is_shortened_and_an_accepted_one_is_replaced():

@@ -1,13 +1,11 @@
 """Special points between two points of a branch: what `continue_branch` cannot show by itself."""
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 from systems.normal_forms import hyperbola, pitchfork, unfolded
 
 from jaxchain.continuation.arclength import make_corrector
-from jaxchain.continuation.special_points import crossing, dips, directions, locate, segment
+from jaxchain.continuation.special_points import crossing, dips, locate, segment
 
 
 def piece_of(residual, args, start, end):
@@ -32,18 +30,6 @@ def test_two_folds_between_two_points_are_met_and_none_is_searched_for_long():
         lambda u, p, c: u**3 + c * u - p, jnp.array(0.01), [-0.3, -0.03], [0.25, 0.018]
     )
     assert len(dips(corrector, piece)) <= 2
-
-
-def test_both_directions_at_a_branch_point_are_found_whatever_rounding_has_found():
-    corrector, piece = piece_of(pitchfork, jnp.array(0.0), [0.0, -0.3], [0.0, 0.4])
-    at = crossing(corrector, piece)
-    assert at is not None
-    assert at.refined
-    mixed = at._replace(point=replace(at.point, tangent=np.array([0.6, 0.8])))
-    for found in (at, mixed):
-        own, other = directions(corrector, piece, found)
-        np.testing.assert_allclose(own, [0.0, 1.0], atol=1e-7)
-        np.testing.assert_allclose(np.abs(other), [1.0, 0.0], atol=1e-7)
 
 
 def test_a_jump_is_no_zero():

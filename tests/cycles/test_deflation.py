@@ -70,13 +70,3 @@ def test_a_forced_cycle_is_one_at_every_period_of_its_force_and_shorter_ones_are
     assert (cycle.turns, int(cycle.times_round)) == (2, 1)
     assert search.outcomes.tolist() == [[0, 0, -1]]
     assert search.failures == {"copy": 1, "shorter period": 1}
-
-
-@pytest.mark.long
-def test_cycles_of_a_family_are_not_counted():
-    """Oscillators that are hardly coupled almost have one for every difference of phases."""
-    apart = PAIR.with_(coupling=1e-7)
-    states = jnp.array([[2.0, 2.0], [2.0, -2.0]]), jnp.zeros((2, 2))
-    search = find_limit_cycles(apart, (states, jnp.full(2, 6.4)), mass=0, rounds=1, lanes=2)
-    assert search.cycles == []
-    assert search.failures == {"not isolated": 2}

@@ -10,12 +10,10 @@ import jaxchain as jc
 from jaxchain.cycles.floquet import floquet_multipliers, monodromy_matrix
 from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model import Coulomb, ExponentialDecay, MechanicalCells
-from jaxchain.model.chain import paper_chain
 
 pytestmark = pytest.mark.long
 LAW = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
 FORCED = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), force=1.6, frequency=0.6)
-ONE = MechanicalCells(1.0, damping=0.1, friction=LAW, belt_speed=1.2)
 TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
 RING = MechanicalCells(1.0, damping=0.1, coupling=0.05, friction=LAW, belt_speed=0.8)
 
@@ -71,18 +69,6 @@ def test_without_a_stop_the_amplitude_is_den_hartogs():
     np.testing.assert_allclose(cycle.amplitude[0], expected, rtol=1e-9)
 
 
-def test_a_forced_cycle_has_derivatives(forced):
-    def numbers(a):
-        cells = FORCED.with_(force=1.6 + a, frequency=0.6 + a, damping=0.1 + a)
-        cycle = find_limit_cycle(cells, forced[1.6])
-        return jnp.stack([cycle.period, cycle.amplitude[0], *(part[0] for part in cycle.state)])
-
-    slopes, step = jax.jacfwd(numbers)(0.0), 1e-5
-    differences = (numbers(step) - numbers(-step)) / (2 * step)
-    np.testing.assert_allclose(slopes, differences, rtol=1e-6)
-    np.testing.assert_allclose(slopes[0], -2 * np.pi / 0.6**2, rtol=1e-12)
-
-
 def test_what_friction_holds_throughout_is_no_cycle():
     with pytest.raises(RuntimeError, match="steady sliding or sticking"):
         find_limit_cycle(FORCED.with_(force=0.6), zeros(2))
@@ -91,27 +77,6 @@ def test_what_friction_holds_throughout_is_no_cycle():
 def test_a_period_that_is_no_multiple_of_the_forces_is_refused():
     with pytest.raises(ValueError, match="forced with the period 10"):
         find_limit_cycle(FORCED, zeros(2), period=9.0)
-
-
-@pytest.fixture(scope="module")
-def one():
-    return find_limit_cycle(ONE, (jnp.array([0.5]), jnp.array([1.2])))
-
-
-def test_it_is_found_from_a_run_a_cycle_and_a_state_with_its_period(one):
-    run = jc.simulate(ONE, (jnp.array([0.5]), jnp.array([1.2])), 50.0)
-    chain = find_limit_cycle(paper_chain(1, belt_speed=1.3, width=None))
-    begin = jnp.array([-0.1]), jnp.array([1.2])  # it sticks for more of the time
-    for guess, period in ((run, None), (chain, None), (one, None), (begin, 6.36)):
-        found = find_limit_cycle(ONE, guess, period=period)
-        assert float(found.period) == pytest.approx(float(one.period), abs=1e-10)
-    mirrored = find_limit_cycle(ONE.with_(belt_speed=-1.2), one)
-    np.testing.assert_allclose(flat(mirrored), -flat(one), atol=1e-12)
-
-
-def test_what_comes_to_rest_has_no_cycle():
-    with pytest.raises(RuntimeError, match="comes to rest"):
-        find_limit_cycle(ONE.with_(belt_speed=0.0), (jnp.array([0.5]), jnp.array([0.2])))
 
 
 def test_cycles_of_two_displacements_with_one_contact_are_scipys():
@@ -152,10 +117,3 @@ def test_a_ring_has_the_cycle_of_a_chain_and_the_derivative_of_differences():
     np.testing.assert_allclose(
         sorted_by_size(cycle.multipliers), sorted_by_size(same.multipliers), atol=1e-7
     )
-
-
-def test_a_family_of_cycles_has_no_single_one():
-    """Without damping every motion that never comes to the speed of the belt is periodic."""
-    cells = MechanicalCells(1.0, friction=Coulomb(0.5), belt_speed=1.0)
-    with pytest.raises(RuntimeError, match="one of a family"):
-        find_limit_cycle(cells, (jnp.array([0.8]), jnp.zeros(1)), period=2 * np.pi)

@@ -3,18 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems.orbits import closed_orbit
 from systems.piecewise import PiecewiseLinear, exact_cycle
 
 from jaxchain import (
-    EventDriven,
-    PeakTimes,
-    equation_8,
     find_limit_cycle,
     paper_chain,
     simulate,
 )
-from jaxchain.cycles.variational import FACTORS, Returned, Returns
+from jaxchain.cycles.variational import FACTORS, Returns
 
 SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)
 PERIOD = 6.686743645  # by SciPy, from one crossing of the velocity to the next
@@ -31,24 +27,6 @@ def test_a_state_is_seen_to_come_back_after_shares_of_a_run():
         np.testing.assert_allclose(seen.apart, expected, atol=1e-6)
         assert int(seen.times_round) == max([m for m in FACTORS if k % m == 0], default=1)
     assert float(seen.farthest) == pytest.approx(2.0, abs=0.05)
-
-
-def test_orbits_that_part_in_a_period_doubling_are_not_the_same():
-    seen = Returned(jnp.full(len(FACTORS), 1e-5), jnp.ones(()))
-    one = jnp.ones(1), jnp.zeros(1)
-    assert int(seen.times_round) == max(FACTORS)
-    assert bool(seen.same(one, (jnp.ones(1) + 1e-8, jnp.zeros(1))))
-    assert not bool(seen.same(one, (jnp.ones(1), jnp.full(1, 1e-5))))
-
-
-@pytest.mark.long
-def test_a_simulation_whose_best_return_is_a_later_one_gives_the_least_period():
-    found = find_limit_cycle(SMOOTH)
-    assert float(found.period) == pytest.approx(PERIOD, abs=1e-8)
-    for width, speed in ((0.1, 0.55), (0.1, 1.1), (0.02, 1.35), (0.01, 1.4), (1e-3, 1.68)):
-        cycle = find_limit_cycle(paper_chain(1, width=width, belt_speed=speed))
-        assert 6.2 < float(cycle.period) < 6.8
-        assert bool(cycle.successful)
 
 
 def test_a_multiple_of_the_period_that_is_given_is_divided():
@@ -69,19 +47,3 @@ def test_an_orbit_that_is_no_chain_has_its_least_period():
     cycle = find_limit_cycle(field, start, period=3 * exact["period"])
     assert float(cycle.period) == pytest.approx(exact["period"], abs=1e-7)
     assert complex(cycle.multipliers[0]) == pytest.approx(exact["multiplier"], abs=1e-5)
-
-
-@pytest.mark.long
-def test_dry_orbits_are_closed_with_the_least_period():
-    chain = paper_chain(1)
-    state = simulate(chain, equation_8(chain, 1), 100.0, solver=EventDriven(), rtol=1e-9).state
-    once = closed_orbit(chain, state, 6.31, solver=EventDriven())
-    peaks = simulate(
-        chain, once.state, 20.0, solver=EventDriven(), rtol=1e-9, observe=PeakTimes(4)
-    ).observed
-    assert float(once.period) == pytest.approx(float(peaks[1, 0] - peaks[0, 0]), abs=1e-9)
-    for times in (2, 3, 6):
-        orbit = closed_orbit(chain, state, 6.31 * times, solver=EventDriven())
-        assert float(orbit.period) == pytest.approx(float(once.period), abs=1e-10)
-        assert float(orbit.gap) < 1e-12
-        assert float(orbit.distance) == pytest.approx(float(once.distance), abs=1e-3)

@@ -1,6 +1,5 @@
 """Cycles of dry friction as sequences of phases."""
 
-from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -28,20 +27,6 @@ def test_the_peak_of_a_cubic():
     dense = np.max(v0 * (1 - rise) + v1 * rise + a * start + b * end, axis=0)
     top = peak(*(jnp.asarray(z) for z in (v0, v1, a, b)))
     np.testing.assert_allclose(top, dense, atol=2e-6)
-
-
-def test_a_slip_cycle_that_grazes_solves_the_equations(dry_fold):
-    """Of one mass, as SciPy runs it: all of the other fold equations, by another way."""
-    grazing = dry_fold
-    phases, u = slip_phases(grazing.chain, grazing.state, grazing.period, 0, True)
-    phases = replace(phases, parameter=("belt_speed",))
-    value, _, seen = eqx.filter_jit(lambda phases, u, p: phases.cycle(u, p))(
-        phases, u, grazing.belt_speed
-    )
-    assert np.max(np.abs(value)) < 1e-11
-    assert seen.sound
-    assert np.max(seen.margins) < 0
-    assert float(seen.rho) == pytest.approx(float(-grazing.slope_plus / grazing.slope_minus), 1e-8)
 
 
 def test_the_events_of_a_cycle_and_their_other_order(chains, dry_cycle):

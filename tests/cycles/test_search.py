@@ -6,14 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from systems.piecewise import PiecewiseLinear
 
 from jaxchain import (
-    Amplitude,
-    Chain,
-    ExponentialDecay,
-    TanhFriction,
-    active,
     excited_state,
     paper_chain,
     simulate,
@@ -21,7 +15,6 @@ from jaxchain import (
 )
 from jaxchain.boundaries import find_hopf_point
 from jaxchain.cycles.limit_cycle import find_limit_cycle
-from jaxchain.model.initial_states import release_state
 
 
 def right_side(chain):
@@ -155,21 +148,6 @@ def test_period_and_amplitude_have_derivatives(slip):
         np.testing.assert_allclose(forward[name], (up - down) / (2 * h), rtol=2e-6, atol=4e-6)
 
 
-@pytest.mark.long
-def test_chains_are_searched_in_one_batch_and_do_not_harm_each_other(slip):
-    speeds = jnp.asarray([1.3, 1.5, 1.7, 2.5])
-
-    def search(speed):
-        return find_limit_cycle(slip.chain.with_(belt_speed=speed), slip, mass=0)
-
-    batch = jax.jit(jax.vmap(search))(speeds)
-    assert list(np.asarray(batch.successful)) == [True, True, False, False]  # fold at 1.659307
-    for k in range(2):
-        alone = search(speeds[k])
-        assert float(batch.period[k]) == pytest.approx(float(alone.period), abs=1e-10)
-        np.testing.assert_allclose(batch.multipliers[k], alone.multipliers, atol=1e-8)
-
-
 def test_a_dry_cycle_is_found_at_every_belt_speed():
     """The guess is where the mass begins to stick; at 1.36 the first step ends before that."""
     amplitudes = []
@@ -204,29 +182,6 @@ def test_rest_and_failure_are_reported():
     assert not bool(resting.successful)
 
 
-# (mu_st, mu_d, v0, width, damping, belt speed) of chains that come to rest.
-RUNAWAYS = [
-    pytest.param((1.0, 0.8, 0.5, 0.2, 0.1, 1.15), marks=pytest.mark.long),
-    (0.8361, 0.6329, 0.3369, 0.1542, 0.1057, -0.5658),
-]
-
-
-@pytest.mark.parametrize("numbers", RUNAWAYS)
-def test_an_orbit_that_decays_from_a_great_speed_is_no_cycle(numbers):
-    """What is left of it after a period is little in the logarithm of its speed alone."""
-    *law, width, damping, belt = numbers
-    chain = Chain(1, TanhFriction(ExponentialDecay(*law), width), belt, damping)
-    cycle = find_limit_cycle(chain, max_steps=60, throw=False)
-    assert not cycle.successful
-    assert float(cycle.residual) > 0.1
-    # Damping outweighs friction in the first chain.
-    with pytest.raises(RuntimeError, match=r"There is no limit cycle|Give a run that ends in one"):
-        find_limit_cycle(chain)
-    fast = jnp.zeros(1), jnp.full(1, 1e12 * np.sign(belt))
-    with pytest.raises(RuntimeError, match="left all cycles"):
-        find_limit_cycle(chain, (fast, 2 * np.pi))
-
-
 def test_bounds_on_a_cycle_hold_and_are_sharp():
     """Periods of vanishing vibrations are those of the modes; the belt's power bounds speeds."""
     chain = paper_chain(3, width=0.05).with_(stiffness=jnp.array([1.0, 4.0, 2.0]))
@@ -242,20 +197,6 @@ def test_bounds_on_a_cycle_hold_and_are_sharp():
         assert bool(chain.can_be_cycle(6.3, speed)) is possible
     undamped = chain.with_(damping_ratio=jnp.array([0.1, 0.0, 0.1]))
     assert bool(undamped.can_be_cycle(6.3, 1e6 * slow))
-
-
-@pytest.mark.long
-def test_one_mass_vibrates_where_a_run_from_it_ends_with_several():
-    chain = paper_chain(6, belt_speed=1.2)
-    spread = simulate(chain, release_state(chain, 3), 400.0, observe=Amplitude(window=40.0))
-    assert int(active(spread.observed, 1.2).sum()) > 1
-    cycle = find_limit_cycle(chain)
-    assert active(cycle.amplitude, 1.2).tolist() == [n == 3 for n in range(6)]
-    assert float(cycle.residual) < 1e-9
-    assert cycle.stable is False
-    # It is on the branch of the one at which a run does settle.
-    beside = find_limit_cycle(chain.with_(belt_speed=1.21), cycle)
-    assert beside.energy == pytest.approx(float(cycle.energy), rel=0.03)
 
 
 def test_a_belt_that_runs_the_other_way_has_the_mirrored_cycle(slip):
@@ -275,9 +216,3 @@ def test_a_cycle_is_not_called_stable_without_proof(slip):
     assert defective.stable is None
     unknown = eqx.tree_at(lambda c: c.multipliers, slip, jnp.asarray([jnp.nan + 0j]))
     assert unknown.stable is None
-
-
-def test_oscillators_of_ones_own_need_a_guess():
-    field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
-    with pytest.raises(ValueError, match="give a state as `guess`"):
-        find_limit_cycle(field)

@@ -15,18 +15,15 @@ from jaxchain import (
     Chain,
     Coulomb,
     ExponentialDecay,
-    SearchResult,
     StaticKinetic,
     continue_cycle,
     continue_special,
     equation_8,
-    find_fold,
     find_limit_cycle,
     hopf_belt_speed,
     paper_chain,
     simulate,
 )
-from jaxchain.basins import sliding_basin
 from jaxchain.boundaries import find_special_cycle
 from jaxchain.cycles import branches
 from jaxchain.cycles.sequences import _consistent, _Part
@@ -35,7 +32,6 @@ from jaxchain.model import MechanicalCells
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
 # By shooting with SciPy, see tests/boundaries/test_grazing.py.
 DRY_FOLD = 1.836600972208
-TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
 
 
 def forced(frequency=0.9, force: Any = 1.5):
@@ -117,6 +113,7 @@ def onset_gaps(z, force, omega):
     return [y[0] + z[0], y[1], z[1] - z[0] + 1.0, np.hypot(z[1], z[2]) - force]
 
 
+@pytest.mark.long
 def test_static_and_kinetic_friction_vibrate_up_to_where_a_release_just_returns_to_the_belt():
     """By the matrix exponential from the release, x = mu_s - 2 xi v_d, v = v_d."""
     mu_s, mu_k, xi = 1.1, 0.5, 0.05
@@ -139,13 +136,6 @@ def test_static_and_kinetic_friction_vibrate_up_to_where_a_release_just_returns_
     stuck = (mu_s - mu_k - 2 * xi * 0.3 - after(slip, 0.3)[0]) / 0.3
     assert float(branch.period[0]) == pytest.approx(slip + stuck, abs=1e-9)
     assert np.isnan(hopf_belt_speed(chain))  # sliding is stable at every speed
-
-
-@pytest.mark.long
-def test_friction_that_falls_at_rest_has_no_grazing_fold_and_no_exact_basin():
-    chain = Chain(1, StaticKinetic(1.1, 0.5), 0.3, 0.05)
-    assert find_fold(chain).result == SearchResult.drops
-    assert sliding_basin(chain).result == SearchResult.drops
 
 
 @pytest.mark.long
@@ -200,8 +190,6 @@ def test_a_branch_ends_where_a_parameter_leaves_its_domain_or_the_belt_stops(dry
 
 
 def test_special_points_and_events_of_ones_own_are_found_and_followed(dry_branch):
-    curve = continue_special(dry_branch.special[1], "damping_ratio", max_points=4)
-    np.testing.assert_allclose(curve.first, -0.5 * np.log(2 * curve.second), atol=1e-10)
     own = {"high": lambda c: c.amplitude[0] - 1.5, "fast": lambda c: c.multipliers[0].real - 1.8}
     branch = continue_cycle(*at_start(dry_branch), events=own)
     high, fast = branch.of_kind("high"), branch.of_kind("fast")
@@ -283,33 +271,6 @@ def test_tori_of_dry_cycles_have_multipliers_on_the_unit_circle():
     slope = jax.grad(speed)(jnp.asarray(0.05))
     near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
     assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("width", [None, 0.01])
-def test_special_cycles_of_ones_own_and_onsets_have_derivatives(width):
-    chain = paper_chain(1, belt_speed=1.2, width=width)
-    own = {"high": lambda c: c.amplitude[0] - 1.5}
-    high = continue_cycle(find_limit_cycle(chain), events=own).of_kind("high")[0]
-
-    def speed(damping):
-        return find_special_cycle(high, chain.with_(damping_ratio=damping)).value
-
-    slope = jax.grad(speed)(jnp.asarray(0.05))
-    near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
-    assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
-
-
-@pytest.mark.long
-def test_a_cell_of_two_displacements_is_scipys_along_its_branch():
-    start = simulate(TWO, tuple(jnp.zeros((4, 1))), 400.0)
-    branch = continue_cycle(find_limit_cycle(TWO, start), bounds=(0.3, 2.0))
-    kinds = [point.kind for point in branch.special]
-    assert kinds
-    for k in np.linspace(0, len(branch.parameter) - 1, 5).astype(int):
-        end, half, _, start = scipy_at(TWO, branch, k)
-        np.testing.assert_allclose(end, start, atol=1e-8)
-        np.testing.assert_allclose(half, branch.amplitude[k, 0], atol=1e-8)
 
 
 def test_a_branch_ends_as_asked_and_keeps_what_it_has(dry_branch, monkeypatch):

@@ -44,25 +44,3 @@ def test_an_orbit_that_goes_round_three_times_begins_again_with_a_third(paramete
     assert start is not None
     np.testing.assert_allclose(start.u, [*u[:-1], np.log(6.2)], rtol=1e-14)
     assert start.p == pytest.approx(6.2 if parameter == "period" else 1.4)
-
-
-@pytest.mark.long
-def test_a_symmetric_orbit_has_fewer_unknowns():
-    whole, half = shooting(), shooting(images=(0, 1, 0))
-    u = jnp.asarray([0.4, -1.1, -1.2, jnp.log(6.2)])  # x_0, z_0, z_1, ln T
-    _, state, period = half.unpack(u, jnp.asarray(1.4))
-    assert float(state[0][0]) == float(state[0][2])
-    assert float(state[1][0]) == float(state[1][2])
-    gaps = whole.residual(whole.pack(state, period, jnp.asarray(1.4)), jnp.asarray(1.4))
-    reduced = half.residual(u, jnp.asarray(1.4))
-    np.testing.assert_allclose(reduced, gaps[jnp.asarray([0, 1, 3, 4])], atol=1e-9)
-    assert half.z_index == 2
-    assert whole.z_index == 3
-
-
-@pytest.mark.long
-def test_rest_is_no_solution():
-    problem = shooting(n=1, mass=0)
-    s = problem.rest(jnp.asarray(1.4))
-    u = jnp.asarray([jnp.arcsinh(0.999 * s), jnp.log(2 * jnp.pi)])
-    assert float(jnp.max(jnp.abs(problem.residual(u, jnp.asarray(1.4))))) > 1e-2

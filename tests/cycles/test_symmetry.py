@@ -9,7 +9,7 @@ from systems.oscillators import LinearRing
 
 from jaxchain import SearchResult, continue_cycle, find_limit_cycle
 from jaxchain.boundaries import continue_special
-from jaxchain.cycles import CycleSymmetry, cycle_symmetry, switch_cycle
+from jaxchain.cycles import cycle_symmetry, switch_cycle
 from jaxchain.cycles.symmetry import finer, isotropy, label_of, ring_motions
 from jaxchain.model import AbstractCells
 from jaxchain.model.springs import Springs
@@ -98,21 +98,6 @@ def check_ring(found, crossings, error=1e-9):
                 motion, k = symmetry.shift
                 later = z[np.array(motion)] * np.exp(2j * np.pi / k)
                 np.testing.assert_allclose(later, z, atol=1e-8)
-
-
-@pytest.mark.long
-def test_a_ring_of_five_loses_its_symmetry_in_two_ways():
-    branch, found = branches_of(Ring(jnp.asarray(0.62)), 5, start_of_ring(5), (0.55, 0.65))
-    assert branch.symmetry == "D5"
-    (point,) = branch.special
-    (symmetry,) = point.symmetries
-    assert symmetry.label == "D1 (axis through mass 0)"
-    assert not symmetry.mirrored
-    check_ring(found, [2 / (5 * (1 - np.cos(2 * np.pi / 5)))])
-    check_different(found)
-    with pytest.raises(ValueError, match="`symmetry`"):
-        switch_cycle(branch, point, symmetry=1)
-    assert branch.to_dataset().attrs["symmetry"] == "D5"
 
 
 @pytest.mark.long
@@ -214,14 +199,6 @@ def test_in_a_ring_of_three_two_may_be_half_a_period_apart():
     )  # fmt: skip
     found = cycle_symmetry(ring, (x, 0.0 * x), 2 * np.pi / 1.6**0.5)
     assert (found.images, found.shift) == ((0, 1, 2), ((0, 2, 1), 2))
-
-
-def test_a_wrong_shift_is_refused():
-    cells, (start, period) = Ring(jnp.asarray(0.62)), wave(4, 0, 0.62)
-    for shift in (((1, 0, 2, 3), 2), ((3, 0, 1, 2), 3), ((3, 0, 1, 2), 1)):
-        wrong = CycleSymmetry("", (0, 1, 2, 3), shift=shift)
-        with pytest.raises(ValueError, match="has the shift"):
-            find_limit_cycle(cells, (start, period), images=wrong)
 
 
 def test_subgroups_of_a_ring_one_of_each_class():

@@ -62,7 +62,9 @@ def test_a_dry_signal_is_that_of_a_run_through_many_cycles(n, chains):
         np.testing.assert_allclose(found, shown(chain, x, v, what), atol=3e-7, err_msg=what)
 
 
-@pytest.mark.parametrize("width", [None, 1e-3], ids=["dry", "smoothed"])
+@pytest.mark.parametrize(
+    "width", [None, pytest.param(1e-3, marks=pytest.mark.long)], ids=["dry", "smoothed"]
+)
 def test_friction_pulls_back_a_mass_that_starts_faster_than_the_belt(width):
     chain, start = ONE.with_(width=width), (jnp.array([0.5]), jnp.array([2.0]))
     record = blank("friction_force", start=start)
@@ -195,28 +197,6 @@ def test_a_wrong_record_is_warned_of_with_the_reason(closed, wrong):
     assert (reason in texts) if reason else not texts
     three(ONE, found.theta)  # the constructor accepts it
     assert found.theta[2] >= 0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("width", [None, 1e-3], ids=["dry", "smoothed"])
-def test_a_signal_of_a_chain_determines_friction_and_damping_and_its_phase(width):
-    chain, off = ONE.with_(width=width), TRUE * jnp.array([0.95, 0.9, 0.91, 0.89])
-    values = np.asarray(predict(change(chain, TRUE), blank(), phase=0.37))
-    error = 0.005 * np.ptp(values)
-    draws = np.random.default_rng(0).standard_normal(TIMES.size)
-    signal = Signal(TIMES, values + error * draws, error)
-    found = identify(chain, change, off, signal, starts=3)
-    assert found.successful
-    assert np.all(np.abs(found.theta - TRUE) < 4 * found.standard_errors)
-    assert np.all(found.standard_errors < 0.3 * TRUE)
-    assert found.phase == pytest.approx(0.37, abs=2e-3)
-    assert abs(found.chi_squared - 395) < 4 * np.sqrt(2 * 395)
-
-    def along(step):
-        return log_likelihood(change(chain, found.theta + step * found.standard_errors), signal)
-
-    slope = jax.jvp(along, (0.02,), (1.0,))[1]
-    np.testing.assert_allclose(slope, (along(0.0201) - along(0.0199)) / 2e-4, rtol=1e-4)
 
 
 def test_the_period_of_a_signal_is_that_of_its_harmonics():

@@ -1,7 +1,5 @@
 """Fronts: their places, the mean speed of what moves in hops, growing and standing blocks."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,19 +41,6 @@ def test_fronts_are_where_a_walk_by_hand_finds_them(n):
         right, left = front_positions(jnp.asarray(amplitude), 0.75, middle)
         expected = [by_hand(row, 0.75, middle) for row in amplitude]
         np.testing.assert_allclose(np.stack([right, left], 1), expected, rtol=1e-13)
-
-
-def test_no_mass_vibrates_or_all_do():
-    right, left = front_positions(jnp.stack([jnp.zeros(10), jnp.ones(10)]), 0.5)
-    assert right.tolist() == left.tolist() == [0.0, 6.0]
-
-
-def test_mirrored_amplitudes_exchange_the_fronts():
-    amplitude = jnp.array([0.1, 0.2, 0.9, 1.0, 1.1, 1.0, 0.7, 0.1, 0.0])
-    right, left = front_positions(amplitude, 0.5, middle=4)
-    assert float(right) != float(left)
-    again = front_positions(jnp.flip(amplitude), 0.5, middle=4)
-    np.testing.assert_allclose(again, (left, right))
 
 
 def synthetic(rng, speed, kind, count=200):
@@ -137,16 +122,6 @@ def test_what_is_left_out_of_a_sweep_may_differ_from_run_to_run():
     np.testing.assert_allclose(found.speed[1], 0.02, atol=1e-14)
 
 
-def test_one_jump_of_a_mass_or_more_without_a_trend_is_unknown():
-    position = np.where(np.arange(50) < 25, 10.0, 12.0)
-    assert front_speeds(runs_of([position]), 0.0).verdict.values.tolist() == [2]
-
-
-def test_a_sweep_without_fronts_is_refused():
-    with pytest.raises(ValueError, match="must be a sweep that observed a `FrontTrack`"):
-        front_speeds(xr.Dataset({"amplitude": ("run", [1.0])}))
-
-
 N, BLOCK, TIME, WINDOWS = 20, 7, 256.0, 32
 
 
@@ -191,11 +166,6 @@ def test_a_block_grows_on_a_slow_belt_and_one_that_fails_spoils_no_other(measure
     assert set(counts[2]) == {BLOCK}
 
 
-def test_the_mirror_image_exchanges_right_and_left(measured):
-    np.testing.assert_allclose(measured.right[0], measured.left[1], rtol=1e-6)
-    np.testing.assert_allclose(measured.left[0], measured.right[1], rtol=1e-6)
-
-
 @pytest.mark.long
 def test_a_track_agrees_with_amplitudes_of_its_windows(measured):
     """`Amplitude` per segment, with peaks between steps, is the witness."""
@@ -233,36 +203,6 @@ def test_fronts_come_unstuck_between_two_belt_speeds(measured):
     assert float(found.stands[0]) > float(found.moves[0])
     # Ends that do not do what was said of them.
     assert np.isnan(found.middle[1])
-
-
-@pytest.mark.parametrize(
-    ("change", "match"),
-    [
-        ({"chain": paper_chain(n=8)}, "ring of at least 12"),
-        ({"chain": paper_chain(n=16).with_(coupling=None)}, "coupled ring"),
-        ({"middle": 16}, "vibrating"),
-        ({"windows": 0}, "windows"),
-        ({"transient": np.nan}, "transient"),
-        ({"t1": -1.0}, "t1"),
-    ],
-)
-def test_bad_input_is_refused(change, match):
-    chain = change.pop("chain", paper_chain(n=16))
-    initial = excited_state(chain, 6, block="centred")
-    t1 = change.pop("t1", 100.0)
-    with pytest.raises(ValueError, match=match):
-        front_speed(chain, initial, t1, **change)
-
-
-def test_bad_input_of_the_bisection_is_refused():
-    chain = paper_chain(n=16)
-    state: Any = excited_state(chain, 6)
-    with pytest.raises(ValueError, match="`initial` must be a function"):
-        depinning_belt_speed(chain, state, 10.0, stands=1.5, moves=1.2)
-    with pytest.raises(ValueError, match="`moves` must be positive"):
-        depinning_belt_speed(chain, lambda c: state, 10.0, stands=1.5, moves=-1.2)
-    with pytest.raises(ValueError, match="windows"):
-        FrontTrack(0)
 
 
 def test_a_threshold_counts_masses_with_and_without_a_belt():

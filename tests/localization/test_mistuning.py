@@ -1,7 +1,5 @@
 """Mistuned chains and their linear modes: closed forms, NumPy, perturbation theory, one lane."""
 
-from typing import Any, cast
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +7,6 @@ import pytest
 from scipy.stats import truncnorm
 
 from jaxchain import Amplitude, Chain, EventDriven, equation_8, paper_chain, simulate, sweep
-from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.localization.mistuning import (
     linear_modes,
     localization_length,
@@ -34,20 +31,6 @@ def test_participation_ratio_in_closed_form():
     amplitude = np.array([a + [0.0] * (7 - len(a)) for a, _ in expected])
     found = participation_ratio(jnp.asarray(amplitude))
     np.testing.assert_allclose(found, [ratio for _, ratio in expected], rtol=1e-14)
-
-
-def test_participation_ratio_of_a_batch_and_its_derivative():
-    amplitude = jnp.array([[1.0, 2.0, 0.5], [0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    batch = jax.jit(participation_ratio)(amplitude)
-    np.testing.assert_allclose(batch, [5.25**2 / 17.0625, 0.0, 1.0], rtol=1e-14)
-    slope = jax.jit(jax.vmap(jax.grad(participation_ratio)))(amplitude)
-    a, h = np.asarray(amplitude[0]), 1e-6 * np.eye(3)
-
-    def ratio(x):
-        return np.sum(x**2, -1) ** 2 / np.sum(x**4, -1)
-
-    np.testing.assert_allclose(slope[0], (ratio(a + h) - ratio(a - h)) / 2e-6, atol=1e-8)
-    assert np.all(np.isfinite(slope))
 
 
 @pytest.mark.parametrize("distribution", ["uniform", "normal"])
@@ -81,16 +64,6 @@ def test_a_seed_is_one_chain_whatever_the_disorder_and_the_neighbours():
     np.testing.assert_allclose((twice - 1.0) / 0.1, (many[17] - 1.0) / 0.05, rtol=1e-12)
     assert len(np.unique(many[:, 0])) == 50
     np.testing.assert_allclose(slope, (twice - 1.0) / 0.1, rtol=1e-12)
-
-
-def test_without_disorder_the_chain_is_the_tuned_one():
-    chain = mistuned_chain(paper_chain(5), 3, 0.0)
-    np.testing.assert_array_equal(chain.stiffness, np.ones(5))
-    own = paper_chain(3).with_(stiffness=np.array([1.0, 2.0, 3.0]))
-    factor = mistuned_stiffness(3, 3, 0.1)
-    np.testing.assert_array_equal(
-        mistuned_chain(own, 3, 0.1).stiffness, np.array([1.0, 2.0, 3.0]) * factor
-    )
 
 
 @pytest.mark.parametrize(
@@ -143,15 +116,6 @@ def test_modes_of_a_mistuned_chain_by_numpy(ends):
     np.testing.assert_allclose(modes.return_probability, np.sum(columns**4, 1), rtol=1e-9)
 
 
-def test_modes_without_springs_and_of_something_else():
-    chain = paper_chain(3).with_(coupling=None, stiffness=np.array([1.0, 1.21, 1.44]))
-    modes = linear_modes(chain)
-    np.testing.assert_allclose(modes.frequency, [1.0, 1.1, 1.2], rtol=1e-14)
-    np.testing.assert_allclose(modes.participation_ratio, 1.0)
-    with pytest.raises(ValueError, match="must be a `Chain`"):
-        linear_modes(cast(Any, "chain"))
-
-
 def test_strongly_mistuned_modes_by_perturbation_theory():
     # To first order in eta_c, u_j = e_j - sum eta_c / (k_j - k_n) e_n over both neighbours n.
     k = np.array([1.0, 1.3, 0.8, 1.5, 0.6, 1.15])
@@ -182,12 +146,6 @@ def test_localization_length_for_great_disorder_and_none():
     assert localization_length(0.0, 0.01, length=100) == np.inf
     with pytest.raises(ValueError, match="coupling"):
         localization_length(0.1, 0.0)
-
-
-def test_mistuned_stiffness_moves_no_hopf_speed():
-    """Uniform damping leaves (D + s) s + K = 0: all modes cross where D does, whatever K."""
-    chain = mistuned_chain(paper_chain(5), 1, 0.1)
-    np.testing.assert_allclose(hopf_belt_speed(chain), np.log(10) / 2, rtol=1e-9)
 
 
 def ladder(chain):

@@ -1,9 +1,7 @@
 """Cells with any rate: their derivatives, their linear systems, runs against SciPy, refusals."""
 
-import functools as ft
 from typing import Any
 
-import diffrax as dfx
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -103,20 +101,6 @@ def exact(cells, start, t1):
         rtol=1e-12, atol=1e-12,
     )  # fmt: skip
     return run.y[:, -1].reshape(m, n)
-
-
-def test_a_step_with_its_stages_in_a_loop_is_the_same():
-    field: Any = pairs()
-    terms: Any = dfx.ODETerm(field)
-
-    @jax.jit
-    def both(y0):
-        take = ft.partial(Rodas5P(2).step, terms, jnp.asarray(0.3), 0.4, y0, None, None, False)
-        return [take(rolled=rolled)[:3] for rolled in (False, True)]
-
-    one, other = both(state(3))
-    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-        np.testing.assert_allclose(a, b, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(("n", "ends"), [(1, "cyclic"), (2, "cyclic"), (3, "cyclic"), (3, "free")])
@@ -226,6 +210,7 @@ def test_observers_see_what_a_trajectory_sees():
         np.testing.assert_allclose(sample, known[::8000], atol=1e-5)
 
 
+@pytest.mark.long
 def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
     cells = Wave(jnp.asarray(0.5))
 
@@ -245,21 +230,6 @@ def test_a_sweep_is_its_runs_and_names_the_components(tmp_path):
     assert again.identical(data)
     with pytest.raises(ValueError, match="belongs to another sweep"):
         sweep(Wave(jnp.asarray(0.5), "free"), start, 30.0, over=grid, observe=observe, store=kept)
-
-
-@pytest.mark.long
-def test_a_run_has_the_slopes_of_differences():
-    cells, start = driven("free"), state(2, 2)
-
-    def end(values):
-        changed = cells.with_(**dict(zip(("spring", "frequency"), values, strict=True)))
-        x = simulate(changed, start, 5.0, solver=Rodas4(), rtol=1e-9).state[0]
-        return x, x
-
-    both, at = jax.jit(jax.jacfwd(end, has_aux=True)), jnp.array([0.5, 1.3])
-    for i, side in enumerate(1e-5 * np.eye(2)):
-        difference = (both(at + side)[1] - both(at - side)[1]) / 2e-5
-        np.testing.assert_allclose(both(at)[0][:, i], difference, rtol=1e-5)
 
 
 @pytest.mark.long
@@ -353,31 +323,3 @@ def test_a_period_that_is_not_that_of_the_force_is_refused():
     wrong = WrongPeriod(jnp.asarray(0.5), jnp.asarray(1.3))
     with pytest.raises(ValueError, match=r"`forcing_period` of WrongPeriod returns 2\.41"):
         find_limit_cycle(wrong, state(2, 2))
-
-
-class Phases(AbstractCells):
-    """One number a cell, which switches; neighbours in a ring pull."""
-
-    def rate(self, t, left, own, right):
-        (x,) = own
-        pull = left[0] - 2.0 * x + right[0]
-        return (-jnp.tanh((x - 0.3) / 1e-3) + 0.2 * pull,)
-
-    def switching(self, t, v):
-        return v - 0.3, jnp.asarray(1e-3)
-
-
-def test_cells_of_one_number_run_and_others_are_refused():
-    start = (jnp.array([1.0, -0.5, 0.2]),)
-    run = simulate(Phases(), start, 2.0)
-    np.testing.assert_allclose(run.state, exact(Phases(), start, 2.0), atol=1e-6)
-    with pytest.raises(ValueError, match="`component` is 1, but a cell of Phases has 1 numbers"):
-        simulate(Phases(), start, 2.0, observe=Amplitude(component=1))
-
-
-def test_a_run_of_cells_goes_backward_to_where_it_began():
-    cells: Any = driven()
-    start, terms = state(3, 2), dfx.ODETerm(cells)
-    end: Any = tuple(jnp.asarray(exact(cells, start, 3.0)))
-    back: Any = dfx.diffeqsolve(terms, Rodas4(), 3.0, 0.0, -0.01, y0=end, max_steps=400)
-    np.testing.assert_allclose(np.stack(back.ys)[:, -1], np.stack(start), atol=1e-6)

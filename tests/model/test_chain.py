@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array
 
 from jaxchain import (
     Chain,
@@ -18,7 +17,6 @@ from jaxchain import (
     paper_chain,
     steady_sliding,
 )
-from jaxchain.model.arguments import as_chain
 from jaxchain.model.chain import margins
 from jaxchain.model.friction import AbstractFrictionLaw
 
@@ -108,18 +106,6 @@ def test_numbers_are_given_and_changed_by_name():
         paper_chain(3, damping=0.1)
 
 
-def test_arrays_of_another_length_and_32_bits_are_refused():
-    for changes, message in (
-        ({"damping_ratio": jnp.ones(3)}, r"`damping_ratio` must be .* mass, of shape \(5,"),
-        ({"coupling": jnp.ones(4)}, r"one per spring, of shape \(5,\)"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            paper_chain(5).with_(**changes)
-    chain = eqx.tree_at(lambda c: c.belt_speed, paper_chain(3), jnp.float32(1.0))
-    with pytest.raises(ValueError, match="64-bit"):
-        as_chain(chain)
-
-
 def test_a_number_of_the_size_of_si_units_is_warned_of():
     make = partial(Chain, 2, LAW, 1.5)
     with pytest.warns(UserWarning, match=r"`stiffness` is 200, .* \(N/m\), take .*`Scales\.from"):
@@ -156,18 +142,6 @@ def test_a_law_alone_is_dry_friction():
         np.testing.assert_allclose(a, b, rtol=1e-14)
 
 
-def test_dry_friction_may_differ_from_mass_to_mass():
-    law = ExponentialDecay(jnp.array([1.0, 1.2, 0.9]), 0.5, 0.5)
-    chain = Chain(3, law, 1.5)
-    np.testing.assert_allclose(steady_sliding(chain)[0], law.coefficient(1.5), rtol=1e-14)
-    with pytest.raises(ValueError, match="`mu_static` must be one number"):
-        Chain(2, law, 1.5)
-    with pytest.raises(ValueError, match=r"law .dry friction. or a smoothed one"):
-        Chain(2, 0.5, 1.5)
-    with pytest.raises(ValueError, match=r"`width` must be positive.*dry friction"):
-        paper_chain(width=0.0)
-
-
 def test_margins_are_positive_where_the_constructor_accepts_the_numbers():
     """Random numbers on both sides of every edge; damping alone is narrower in searches."""
     names = ["mu_static", "mu_dynamic", "v_ref", "stiffness", "coupling", "normal_load", "width"]
@@ -187,16 +161,3 @@ def test_margins_are_positive_where_the_constructor_accepts_the_numbers():
         accepted += not refused
     assert 20 < accepted < 180
     assert margins(chain.with_(damping_ratio=-0.1))["damping_ratio = 0"] < 0
-
-
-def test_the_margins_of_your_own_law_are_its_curve():
-    class Falling(AbstractFrictionLaw):
-        mu_static: Array
-        slope: Array
-
-        def coefficient(self, speed):
-            return self.mu_static - self.slope * jnp.tanh(speed)
-
-    own = Chain(1, Falling(jnp.asarray(1.0), jnp.asarray(0.5)), 1.0, 0.05)
-    least = jax.jit(lambda slope: jnp.min(margins(own.with_(slope=slope))["mu(s) = 0"]))
-    assert least(0.9) > 0 > least(1.1)

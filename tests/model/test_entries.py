@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import paper_chain, sweep
+from jaxchain import paper_chain
 from jaxchain.boundaries import continue_equilibrium, find_hopf_point
 from jaxchain.model import ExponentialDecay, MechanicalCells
 
@@ -95,11 +95,3 @@ def test_an_entry_is_continued_and_searched_in():
     assert abs(0.5 - hopf.p - float(by_entry.value)) < 1e-6
     with pytest.raises(ValueError, match=r"name one of its entries, `stiffness\[0, 0\]`"):
         find_hopf_point(pads(), "stiffness", REST)
-
-
-def test_entries_and_factors_are_swept():
-    over = {"stiffness[0, 1]": [0.5, 0.1], "friction": [0.0, 0.4]}
-    runs = sweep(pads(), (jnp.ones(1),) * 4, 2.0, over=over, observe=())
-    assert dict(runs.sizes)["stiffness[0, 1]"] == dict(runs.sizes)["friction"] == 2
-    with pytest.raises(ValueError, match=r"the last one is `stiffness\[1, 1\]`"):
-        sweep(pads(), REST, 2.0, over={"stiffness[2, 0]": [0.5]})

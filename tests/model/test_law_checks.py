@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -25,14 +24,6 @@ class Jump(Law):
 
     def coefficient(self, speed: Any) -> Any:
         return self.mu_static + jnp.where(speed < self.a, 0.0, self.height)
-
-
-class Steep(Law):
-    """As steep as a jump but for one who looks very closely."""
-
-    def coefficient(self, speed: Any) -> Any:
-        step = jnp.clip((speed - self.a) * 1e7, 0.0, 1.0)
-        return self.mu_static - 0.3 * step
 
 
 class Pole(Law):
@@ -67,19 +58,3 @@ class Scalar(Law):
 def test_a_curve_that_cannot_be_a_law_is_refused_with_its_speed(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-@pytest.mark.parametrize(
-    "make", [lambda: Linear(1.0, 0.01), lambda: Linear(0.0, 0.0), lambda: Steep(1.0, 0.37)]
-)
-def test_a_curve_that_only_comes_close_to_that_is_none_of_it(make):
-    make()
-
-
-def test_nothing_is_refused_while_numbers_are_traced():
-    assert jax.jit(lambda a: Linear(1.0, a).coefficient(9.0))(0.5) == -3.5
-
-
-def test_concrete_numbers_are_looked_at_inside_a_traced_function_too():
-    with pytest.raises(ValueError, match="is negative at the speed"):
-        jax.jit(lambda speed: Linear(1.0, 0.5).coefficient(speed))(0.1)

@@ -9,14 +9,13 @@ import pytest
 
 from jaxchain import (
     Chain,
-    ExponentialDecay,
     TanhFriction,
     WeakeningStrengthening,
     steady_sliding,
     sweep,
 )
-from jaxchain.model import MechanicalCells, friction
-from jaxchain.model.parameters import CHAIN, FRICTION, PARAMETERS, parameter
+from jaxchain.model import friction
+from jaxchain.model.parameters import CHAIN, FRICTION, PARAMETERS
 from jaxchain.scenes.scene import schema
 
 N = 3
@@ -120,35 +119,3 @@ def test_every_number_may_be_swept_and_has_words_and_a_unit_in_the_dataset():
     assert {name for name, value in parameters.items() if value == "swept"} == set(SMOOTHED)
     assert data["belt_speed"].attrs == {"long_name": "belt speed v_d", "units": "x0 omega_n"}
     assert data["mu_static"].attrs["units"] == "1"
-
-
-def test_words_letters_and_units():
-    assert PARAMETERS["belt_speed"].label == r"belt speed $\tilde v_d$ (–)"
-    assert PARAMETERS["stiffness"].label == "relative stiffness (–)"
-    assert PARAMETERS["mu_static"].long_name == "static friction coefficient mu_st"
-    assert PARAMETERS["width"].long_name == "regularization width epsilon"
-    speeds = {name for name, row in PARAMETERS.items() if row.unit == "x0 omega_n"}
-    assert speeds == {"belt_speed", "v_ref", "width"}
-
-
-def test_a_number_of_a_law_of_ones_own_is_called_by_its_name():
-    row = parameter("mu_peak")
-    assert (row.long_name, row.unit) == ("mu_peak", "1")
-    assert row.sign == "any"
-    assert parameter("width") is FRICTION["width"]
-
-
-def test_the_load_is_one_where_none_is_given():
-    law = friction.Coulomb(0.5)
-    loads = jnp.array([0.0, 1.0, 2.0])
-    assert float(Chain(N, TanhFriction(law, 0.1), 1.0).load) == 1.0
-    chain = Chain(N, TanhFriction(law, 0.1), 1.0, normal_load=loads)
-    assert chain.load is chain.normal_load
-    assert chain.static_limit().tolist() == [0.0, 0.5, 1.0]
-
-
-def test_cells_know_the_domain_of_their_load_and_of_their_law():
-    cells = MechanicalCells(1.0, friction=ExponentialDecay(1.0, 0.5, 0.5), belt_speed=1.0)
-    names = "normal_load", "mu_static", "v_ref", "mass", "stiffness"
-    signs = [cells.parameter(name).sign for name in names]
-    assert signs == ["nonnegative", "nonnegative", "positive", "positive", "any"]

@@ -6,9 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import pytest
 
-from jaxchain import Chain, Coulomb, ExponentialDecay, paper_chain
+from jaxchain import Chain, Coulomb, ExponentialDecay
 from jaxchain.model import GaussianStribeck, TabulatedFriction, WeakeningStrengthening
-from jaxchain.model.friction import AbstractFrictionLaw
 from jaxchain.model.provenance import chain_of, parameters_of
 
 LAWS = [
@@ -26,17 +25,3 @@ def test_a_chain_is_made_again_from_its_parameters(law, width):
     )
     chain = chain if width is None else chain.with_(width=width)
     assert eqx.tree_equal(chain_of(json.loads(parameters_of(chain, 3, ()))), chain)
-
-
-def test_the_law_of_another_package_is_not_taken_for_one_of_this_name():
-    class Coulomb(AbstractFrictionLaw):
-        mu_static: float
-        lift: float
-
-        def coefficient(self, speed):
-            return jnp.asarray(self.mu_static + self.lift * speed)
-
-    for law in (Coulomb(1.0, 0.1), type("Mine", (Coulomb,), {})(1.0, 0.1)):
-        chain = Chain(3, law, 1.5)
-        assert chain_of(json.loads(parameters_of(chain, 3, ()))) is None
-    assert chain_of(json.loads(parameters_of(paper_chain(3), 3, ()))) is not None

@@ -164,22 +164,6 @@ def test_both_laws_of_state_are_those_of_the_formulas():
 # Mode coupling.
 
 
-def modes(cells):
-    return np.linalg.eigvals(cells.jacobian(0.0, (jnp.zeros(1),) * 4))
-
-
-def test_two_modes_meet_at_the_friction_of_the_closed_form():
-    numbers = (2.3, 1.1, 0.7, 1.7)  # k11, k22, k12, k_c
-    critical = (0.7 + (2.3 - 1.1) ** 2 / (4 * 0.7)) / 1.7
-    squares = np.sort(modes(ModeCoupling(*numbers, friction=critical)) ** 2)
-    np.testing.assert_allclose(squares, -(2.3 + 1.1) / 2, atol=1e-6)  # rounding, square root
-    assert np.max(np.abs(squares - squares[0])) ** 2 < 1e-9
-    below = modes(ModeCoupling(*numbers, friction=critical - 1e-6))
-    above = modes(ModeCoupling(*numbers, friction=critical + 1e-6))
-    assert np.max(np.abs(np.real(below))) < 1e-9
-    assert np.max(np.real(above)) > 1e-4
-
-
 # Blocks.
 
 
@@ -254,43 +238,7 @@ def test_steady_sliding_loses_stability_at_the_stiffness_of_rice_and_ruina(law):
     assert np.max(np.linalg.eigvals(linearised(1.01 * CRITICAL, law)).real) < -1e-3
 
 
-def test_a_fault_moves_as_scipy_says():
-    fault = BurridgeKnopoff(FRICTION, speed=0.3, coupling=2.0, ends="free")
-    start = np.stack([0.3 * np.sin(np.arange(5.0)), np.zeros(5)])
-
-    numbers = one_of(fault, 1, 0)
-
-    def rate(t, y):
-        u, v = y.reshape(2, 5)
-        d = np.diff(np.pad(u, 1, mode="edge"), 2)
-        return np.concatenate(burridge_knopoff(numbers, t, (u, v), d))
-
-    tight = {"method": "LSODA", "rtol": 1e-11, "atol": 1e-13}
-    expected = solve_ivp(rate, (0, 15), start.ravel(), **tight).y[:, -1].reshape(2, 5)
-    run = simulate(fault, tuple(map(jnp.asarray, start)), 15.0, rtol=1e-10)
-    assert np.max(np.abs(expected[1])) > 0.1  # some block slips
-    np.testing.assert_allclose(np.stack(run.state), expected, atol=1e-6)
-    velocities, width = fault.switching(0.0, run.state[1])
-    np.testing.assert_array_equal(velocities, run.state[1])
-    assert width == 1e-2
-
-
 # Driven and self-excited oscillators.
-
-RING = Duffing(1.0, 2.0, damping=0.1, stiffness=1.0, cubic=2.0, mass=1.0, coupling=0.1)
-WAVE = (jnp.sin(jnp.arange(10.0)), 0.5 * jnp.cos(3.0 * jnp.arange(10.0)))
-
-
-def test_a_ring_of_duffing_oscillators_moves_as_scipy_says():
-    def rate(t, y):
-        x, v = y.reshape(2, 10)
-        springs = 0.1 * (np.roll(x, 1) - 2 * x + np.roll(x, -1))
-        return np.concatenate([v, np.cos(2 * t) - 0.1 * v - x - 2 * x**3 + springs])
-
-    tight = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
-    expected = solve_ivp(rate, (0, 20), np.concatenate(WAVE), **tight).y[:, -1]
-    run = simulate(RING, WAVE, 20.0, rtol=1e-12)
-    np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9)
 
 
 def multipliers(amplitudes):
@@ -348,16 +296,6 @@ def test_van_der_pols_oscillator_has_the_known_period():
 # Input.
 
 
-def test_wrong_shapes_are_refused_by_name():
-    with pytest.raises(ValueError, match="given per mass must agree"):
-        VanDerPol(jnp.ones(2), jnp.ones(3))
-    with pytest.raises(ValueError, match="Argument `frequency` must be one number"):
-        Duffing(1.0, jnp.ones(2))
-    for two in ({"amplitude": jnp.ones(2)}, {"frequency": jnp.ones(2)}):
-        with pytest.raises(ValueError, match=f"Argument `{next(iter(two))}` must be one number"):
-            Pendulums(**{"length": 1.0, "amplitude": 0.1, "frequency": 3.5} | two)
-
-
 def test_with_changes_one_number():
     for cls in CLASSES:
         cells = some(cls, 2)
@@ -368,9 +306,3 @@ def test_with_changes_one_number():
                 np.testing.assert_array_equal(changed[other], factor * np.asarray(number))
         with pytest.raises(ValueError, match=r"does not know \['nothing'\]"):
             cells.with_(nothing=1.0)
-
-
-def test_a_fault_takes_the_numbers_of_its_friction():
-    fault = BurridgeKnopoff(FRICTION, 0.3)
-    assert fault.parameters().keys() > FRICTION.parameters().keys()
-    assert fault.with_(width=0.02, mu_dynamic=0.4, speed=0.1).friction.law.mu_dynamic == 0.4

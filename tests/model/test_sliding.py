@@ -1,6 +1,5 @@
 """The linear stability of steady sliding against the chain's own Jacobian."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -33,7 +32,7 @@ def mistuned(n, ends="cyclic"):
     )
 
 
-@pytest.mark.parametrize(("n", "ends"), [(1, "cyclic"), (2, "cyclic"), (3, "free")])
+@pytest.mark.parametrize(("n", "ends"), [(1, "cyclic"), (3, "free")])
 def test_the_parts_make_up_the_jacobian(n, ends):
     chain = mistuned(n, ends)
     jacobian = np.asarray(chain.jacobian(0.0, steady_sliding(chain)))
@@ -46,16 +45,6 @@ def test_the_parts_make_up_the_jacobian(n, ends):
     np.testing.assert_allclose(found, wanted, atol=1e-13)
     rate = growth_rate(chain, chain.belt_speed)
     assert float(rate) == pytest.approx(np.real(wanted).max(), abs=1e-13)
-
-
-def test_growth_of_a_uniform_chain_is_that_of_each_of_its_modes():
-    chain = paper_chain(5)
-    for speed in (0.5, 1.5):
-        values = np.asarray(sliding_eigenvalues(chain, jnp.asarray(speed)))
-        rate = float(growth_rate(chain, jnp.asarray(speed)))
-        np.testing.assert_allclose(np.real(values), rate, atol=1e-12)
-        slope = jax.grad(lambda v: growth_rate(chain, v))(speed)
-        assert float(slope) == pytest.approx(-np.exp(-2 * speed), rel=1e-12)
 
 
 def test_numbers_per_mass_count_as_different():

@@ -9,12 +9,11 @@ from witnesses import one_mass
 
 from jaxchain.cycles.averaging import one_mass as one_of
 from jaxchain.model.chain import Chain
-from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
+from jaxchain.model.friction import TanhFriction
 from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.model.units import Scales
-from jaxchain.simulation import Method, simulate
+from jaxchain.simulation import simulate
 from jaxchain.simulation.event_driven import EventDriven
-from jaxchain.sweeps.ensemble import describe
 
 SPEED = [0.0, 0.2, 0.5, 0.8, 1.2, 2.0]
 MU = [1.0, 0.8, 0.75, 0.6, 0.52, 0.5]
@@ -45,12 +44,6 @@ def test_the_curve_is_the_shape_preserving_one():
     assert curve(50.0) == 0.5
 
 
-def test_it_is_read_from_a_file(tmp_path):
-    file = tmp_path / "mu.csv"
-    np.savetxt(file, np.transpose([SPEED, MU]), delimiter=",", header="speed,mu", comments="")
-    np.testing.assert_array_equal(TabulatedFriction.from_csv(file).pieces, law().pieces)
-
-
 def test_a_file_of_a_rig_has_speeds_in_m_per_s_and_may_lack_friction_at_rest(tmp_path):
     file = tmp_path / "mu.csv"
     rig = Scales.from_dimensional(2.0, 2.0, 200.0, None, 10.0)  # the unit of speed is 0.5 m/s
@@ -65,11 +58,6 @@ def test_a_file_of_a_rig_has_speeds_in_m_per_s_and_may_lack_friction_at_rest(tmp
         TabulatedFriction.from_csv(file, mu_static=1.0)
 
 
-def test_a_traced_table_is_refused():
-    with pytest.raises(ValueError, match="cannot be traced: make the law before"):
-        jax.jit(lambda mu: TabulatedFriction([0.0, 1.0], mu).pieces)(jnp.array([1.0, 0.5]))
-
-
 def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
     ring = chain(5, coupling=0.01, stiffness=np.linspace(1.0, 1.4, 5)).with_(width=1e-4)
     for kept in (ring, one_of(ring, 3)):
@@ -78,13 +66,6 @@ def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
     assert "pieces" not in ring.parameters()
     with pytest.raises(ValueError, match="does not know"):
         ring.with_(pieces=1.0)
-
-
-def test_a_dataset_says_from_which_table_it_comes():
-    plan = Method(EventDriven(), 1e-6, 1e-7, 0.5).plan([], 1.0)
-    attrs = describe(chain(), 1, plan, t0=0.0, t1=1.0, swept=["belt_speed"])
-    assert str(SPEED) in attrs["parameters"]
-    assert str(MU) in attrs["parameters"]
 
 
 # From beyond the last speed of the table to just before the mass would stick.
@@ -123,23 +104,3 @@ def test_an_event_driven_step_ends_where_the_pieces_of_the_curve_meet():
         np.testing.assert_allclose(end(1.0, rtol)[0], expected, atol=bound)
     difference = (end(1.0 + 1e-5, 1e-12)[0] - end(1.0 - 1e-5, 1e-12)[0]) / 2e-5
     np.testing.assert_allclose(end(1.0, 1e-12)[1], difference, rtol=1e-6)
-
-
-def test_without_its_knots_it_costs_steps_not_truth():
-    """A law that says that its pieces meet nowhere: the error of each step finds where they do."""
-
-    class Unsaid(AbstractFrictionLaw):
-        mu_static: Any
-
-        @property
-        def knots(self):
-            return ()
-
-        def coefficient(self, speed: Any) -> Any:
-            return law().coefficient(speed)
-
-    expected = slid()
-    own = chain(friction=Unsaid(MU[0]))
-    run = simulate(own, initial(), END, solver=EventDriven(), rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-5)
-    assert run.rejected > 5

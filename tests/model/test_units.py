@@ -26,15 +26,6 @@ def round_scales():
     return Scales.from_dimensional(2.0, 2.0, 200.0, 2.0, 10.0)
 
 
-def test_the_paper_s_equation_4_holds():
-    scales = round_scales()
-    assert scales.angular_frequency == 10.0  # sqrt(200 / 2)
-    assert scales.displacement == 0.05  # 10 / 200
-    np.testing.assert_allclose(scales.damping_ratio, 0.05, rtol=1e-15)  # 2 / (2 sqrt(400))
-    assert scales.coupling is not None
-    np.testing.assert_allclose(scales.coupling, 0.01, rtol=1e-15)  # 2 / 200
-
-
 def test_every_quantity_is_counted_in_its_unit():
     units: dict[Any, float] = {
         "displacement": 0.05,
@@ -68,13 +59,6 @@ def test_a_body_in_si_units_and_back(body):
     for name, returned, given in zip(parameters._fields, parameters, body, strict=True):
         assert returned is not None
         np.testing.assert_allclose(returned, given, rtol=1e-14, err_msg=name)
-
-
-def test_without_coupling_there_is_no_coupling_leaf():
-    scales = Scales.from_dimensional(2.0, 2.0, 200.0, None, 10.0)
-    assert scales.coupling is None
-    assert scales.parameters().coupling_stiffness is None
-    assert len(jax.tree.leaves(scales)) == 4
 
 
 def test_a_rig_in_si_units_is_a_chain_in_one_call():

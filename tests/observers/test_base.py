@@ -12,7 +12,6 @@ from systems.oscillators import LinearRing
 from jaxchain import (
     Amplitude,
     PeakTimes,
-    Rodas4,
     Rodas5P,
     Section,
     active,
@@ -20,11 +19,9 @@ from jaxchain import (
     equation_8,
     paper_chain,
     simulate,
-    sweep,
 )
 from jaxchain.model import MechanicalCells
 from jaxchain.observers import AbstractObserver, Divergence, Step
-from jaxchain.result import NAMES
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
 OMEGA = np.array([1.0, 1.5])
@@ -36,12 +33,6 @@ FREE = LinearRing(
     v0=jnp.zeros(2),
 )
 START = (FREE.x0, FREE.v0)
-
-
-def test_amplitude_of_a_cosine_is_found_between_steps():
-    # Steps of 0.5 straddle the peaks; the greatest value at a step would be off by one per cent.
-    run = simulate(FREE, START, 40.0, observe=Amplitude(window=15.0), solver=Rodas4(), rtol=1e-6)
-    np.testing.assert_allclose(run.observed, [0.7, 0.4], rtol=2e-5)
 
 
 def test_maxima_and_sections_of_a_cosine():
@@ -169,7 +160,3 @@ def test_an_observed_value_that_is_not_finite_is_a_failure():
     run = simulate(cells, start, 1.0, observe=Divergence(), throw=False, **how)
     assert run.outcome == "nonfinite"
     assert np.isfinite(run.state).all()
-    over = {"stiffness": [1.0, 2.0]}
-    with pytest.warns(UserWarning, match="2 of 2 runs ended with `nonfinite`"):
-        data = sweep(cells, start, 1.0, over=over, observe=Divergence(), solver=dfx.Tsit5())
-    assert (data.result == NAMES.index("nonfinite")).all()

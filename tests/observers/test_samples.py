@@ -57,7 +57,9 @@ def test_samples_lie_on_the_dense_output_of_steps_of_any_length():
             assert np.isnan(rest[times.size :]).all()
 
 
-@pytest.mark.parametrize(("solver", "start"), [(EventDriven(3), None), (None, 3.0)])
+@pytest.mark.parametrize(
+    ("solver", "start"), [(EventDriven(3), None), pytest.param(None, 3.0, marks=pytest.mark.long)]
+)
 def test_observers_start_with_a_run_that_starts_before_time_0(solver, start):
     """The same run at other times has the same values, by default and from a negative `start`."""
     t0, chain = -12.3, paper_chain(1, width=None if solver else 0.1)
@@ -81,11 +83,3 @@ def test_observers_start_with_a_run_that_starts_before_time_0(solver, start):
         np.testing.assert_allclose(times - t0, late, atol=1e-9)
         if isinstance(ours, tuple):
             np.testing.assert_allclose(ours[1], theirs[1], atol=1e-9)
-
-
-def test_what_does_not_fit_a_chain_is_named():
-    chain = paper_chain(3)
-    with pytest.raises(ValueError, match=r"`interval` must be one number.*`Trajectory.times"):
-        Samples(np.linspace(0.0, 1.0, 5))
-    with pytest.raises(ValueError, match=r"`oscillators.0.` must be an integer in 0 ... 2"):
-        simulate(chain, equation_8(chain, 2), 1.0, observe=Samples(0.1, 4, oscillators=(3,)))

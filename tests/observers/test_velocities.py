@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxchain import Amplitude, Coulomb, PeakTimes, Section, equation_8, paper_chain, simulate
 from jaxchain.model import MechanicalCells
@@ -47,6 +48,7 @@ def test_extremes_of_a_velocity_within_long_steps():
         np.testing.assert_allclose(mirrored, np.pi - early, atol=1e-8)
 
 
+@pytest.mark.long
 def test_extremes_of_a_displacement_within_long_steps():
     """x = cos t + b cos 3t + .5 moves forward only for |t - pi / 2| < late, and hardly."""
     b, middle = 0.334, 0.5 * np.pi

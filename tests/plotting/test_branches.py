@@ -1,17 +1,14 @@
 """The figure of a branch agrees with its dataset: line, style, special points, names."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import xarray as xr
 from drawn import SCALES, legend, page_of
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from synthetic import cycle_branch, special_curve
 
-from jaxchain.continuation.branch import Branch
 from jaxchain.cycles.shooting import Shooting
 from jaxchain.model.ready_made import VanDerPol
 from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, plot_special_curves, smooth
@@ -76,16 +73,6 @@ def test_special_points_are_marked_where_they_are_and_named():
     assert len(set(looks)) == len({marker for marker, _ in looks}) == len(MARKS)
 
 
-def test_a_branch_and_its_dataset_are_the_same_picture_also_after_netcdf(tmp_path):
-    branch = cycle_branch()
-    branch.to_dataset().to_netcdf(tmp_path / "branch.nc", engine="h5netcdf")
-    with xr.open_dataset(tmp_path / "branch.nc", engine="h5netcdf") as read:
-        drawn = [plot_branch(own, "period").get_lines() for own in (branch, read)]
-    for a, b in zip(*drawn, strict=True):
-        np.testing.assert_array_equal(a.get_xydata(), b.get_xydata())
-        assert a.get_linestyle() == b.get_linestyle()
-
-
 def test_axes_say_symbol_and_unit_dimensionless_and_in_si():
     axes = plot_branch(cycle_branch())
     assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
@@ -125,23 +112,6 @@ def test_branches_lie_on_axes_that_are_given_each_word_once_in_the_legend():
     assert page_of(plot_branch(branch)).get_figwidth() == COLUMN_WIDTH
 
 
-def test_a_change_without_a_special_point_lies_at_the_stable_end():
-    branch = cycle_branch(special=())
-    (stable,), (unstable,) = (named(plot_branch(branch))[k] for k in ("stable", "unstable"))
-    assert points(stable)[0].tolist() == branch.parameter[:4].tolist()
-    assert points(unstable)[0].tolist() == branch.parameter[3:].tolist()
-
-
-def test_a_branch_of_anything_is_one_solid_line():
-    branch = Branch(
-        np.arange(3.0)[:, None], np.arange(3.0), np.arange(3.0), np.ones((3, 2)), np.zeros(3),
-        None, (), "max_points",
-    )  # fmt: skip
-    (line,) = plot_branch(branch).get_lines()
-    np.testing.assert_array_equal(points(line), np.arange(3.0) * np.ones((2, 1)))
-    assert line.get_linestyle() == "-"
-
-
 def extremes(values):
     """Indices of the local extremes of `values`."""
     return (np.flatnonzero(np.diff(np.sign(np.diff(values)))) + 1).tolist()
@@ -162,16 +132,6 @@ def test_the_line_has_no_corners_and_no_folds_of_its_own():
     assert corner(x, y) < 0.25 * corner(t**2, t)
 
 
-def test_a_line_is_straight_beside_a_missing_number_and_may_stand_still():
-    x, y = smooth(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 1.0, np.nan, 3.0]))
-    np.testing.assert_array_equal(x[::PARTS], [0.0, 1.0, 2.0, 3.0])
-    np.testing.assert_allclose(y[:PARTS], x[:PARTS])
-    assert np.isnan(y[PARTS + 1 : 3 * PARTS]).all()
-    still = np.array([0.0, 1.0, 1.0, 2.0])
-    for y in (still**2, 0.0 * still):
-        np.testing.assert_array_equal(smooth(still, y)[1][::PARTS], y)
-
-
 def test_special_curves_meet_and_the_region_between_them_is_shaded():
     curves = [special_curve(kind) for kind in ("hopf", "fold")]
     axes = plot_special_curves([curves[0], curves[1].to_dataset()])
@@ -189,27 +149,3 @@ def test_special_curves_meet_and_the_region_between_them_is_shaded():
     assert alone[0].contains_points([(0.75, 0.15), (0.1, 0.25)]).all()
     assert not alone[0].contains_points(inside).any()
     assert "damping" in axes.get_ylabel()
-
-
-def test_special_curves_in_other_numbers_are_refused():
-    other = special_curve().to_dataset().assign_attrs(second="width")
-    with pytest.raises(ValueError, match="in the same two numbers"):
-        plot_special_curves([special_curve(), other])
-
-
-def test_masses_vibrate_by_themselves_between_two_hopf_points_and_pieces_have_their_kinds():
-    hopf, fold = special_curve("hopf"), special_curve("fold")
-    # Up to (0.5, 0.3) and back to smaller speeds, as for a law whose weakening has a maximum.
-    hopf = replace(
-        hopf, first=np.array([0.9, 0.5, 0.2]), second=np.array([0.1, 0.3, 0.15]), special=()
-    )
-    touching = SimpleNamespace(field=fold.chain, kind=SimpleNamespace(name="grazing fold"))
-    pieces = touching, touching, fold.equations[2]
-    axes = plot_special_curves([hopf, replace(fold, equations=pieces, kind="grazing fold")])
-    assert legend(axes)[3:] == ["Hopf point", "grazing fold", "fold", "generalised Hopf"]
-    alone = axes.collections[1].get_paths()
-    assert any(path.contains_point((0.5, 0.2)) for path in alone)
-    assert not any(path.contains_point((0.1, 0.2)) for path in alone)
-    (first,), (second,) = named(axes)["grazing fold"], named(axes)["fold"]
-    np.testing.assert_allclose(points(first)[0], fold.first[:2])
-    np.testing.assert_allclose(points(second)[0], fold.first[1:])

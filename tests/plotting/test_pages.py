@@ -1,6 +1,5 @@
 """Figures of scenes and what they mark: the Hopf speed, moving fronts, cycles, failed runs."""
 
-import json
 from typing import Any
 
 import matplotlib
@@ -15,7 +14,7 @@ from jaxchain.plotting import pages
 from jaxchain.plotting.branches import PARTS
 from jaxchain.plotting.diagram import hopf_belt_speed, intervals, moving_fronts
 from jaxchain.plotting.pages import figure
-from jaxchain.plotting.style import save_figure, shades
+from jaxchain.plotting.style import shades
 from jaxchain.scenes.report import summary
 
 
@@ -60,16 +59,6 @@ def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
     axes = named_panels(figure({"damped": damped}))[0]
     assert where(*labelled(axes, "unstable sliding")) == [0.5, 1.0, 0.5]
     assert where(*labelled(axes, "steady sliding")) == [1.3, 1.0, 1.3]
-
-
-@pytest.mark.parametrize("attrs", [{"vary": "the function `mistune`"}, {"law": "Rational"}])
-def test_rest_of_a_chain_that_is_not_known_is_not_drawn_as_stable(attrs):
-    law = attrs.pop("law", "ExponentialDecay")
-    data = results({"belt_speed": [1.0, 1.3]}, np.zeros(2), 2, friction_law=law)
-    data = data.drop_vars("hopf_belt_speed").assign_attrs(attrs)
-    axes = named_panels(figure({"two": data}))[0]
-    assert legend(axes) == ["sliding, stability unknown"]
-    assert to_hex(labelled(axes, legend(axes)[0])[0].get_markerfacecolor()) == "#ffffff"
 
 
 def shaken():
@@ -157,17 +146,6 @@ def test_fronts_move_where_the_active_count_changes():
     assert legend(axes).count("moving fronts") == 1
 
 
-def test_a_failed_run_is_neither_a_front_nor_the_death_of_all():
-    data = ladder()
-    data["result"][5, :] = 6
-    data["active_count"][5, :] = np.nan
-    data["result"][7, 6] = 6  # the fully excited run at 1.7
-    data["active_count"][7, 6] = np.nan
-    moving = moving_fronts(data)
-    assert moving is not None
-    assert data.belt_speed.values[moving.values].tolist() == [1.0, 1.1, 1.2, 1.7]
-
-
 def test_failed_runs_are_crosses_and_are_listed_with_advice():
     data = single()
     data["result"][1, 2] = 6
@@ -193,23 +171,6 @@ def test_a_summary_says_where_the_chain_vibrates():
     assert max(map(len, text.splitlines())) < 100
 
 
-@pytest.mark.parametrize("kept", [["amplitude"], ["energy"], ["active_count"]])
-def test_a_figure_is_drawn_from_whatever_was_kept(kept):
-    for data in (ladder(), single()):
-        figure({"some": data[[*kept, "result", "steps"]]})
-        assert "outcome" in summary("some", data[[*kept, "result", "steps"]])
-
-
-def test_a_long_chain_and_a_large_sweep_are_drawn_too(tmp_path):
-    speeds = np.linspace(1, 2, 20_000)
-    count = np.arange(20_000)
-    data = results({"belt_speed": speeds}, count % 2, 2)
-    data.attrs["parameters"] = json.dumps(json.loads(data.attrs["parameters"]) | {"n": 20_000})
-    data["active_count"] = (("belt_speed",), count)
-    save_figure(figure({"long": data}), tmp_path / "long")
-    assert (tmp_path / "long.pdf").stat().st_size < 1e6
-
-
 @pytest.mark.parametrize(
     "kept", [pytest.param("energy_velocity", marks=pytest.mark.long), "amplitude_velocity"]
 )
@@ -225,12 +186,3 @@ def test_the_figure_of_a_scene_of_cells_shows_every_run(pairs, kept):
     text = summary("pairs", data)
     assert "model         VanDerPol, n 2; mu swept; coupling 0.1" in text
     assert "6 successful" in text
-
-
-def test_without_amplitudes_no_run_is_called_steady_sliding():
-    data = shaken()[["active_count", "result", "steps"]]
-    (axes,) = named_panels(figure({"single": data}))
-    assert not labelled(axes, "steady sliding")
-    assert len(where(*labelled(axes, pages.NONE_VIBRATES))) == 8
-    assert "sliding" not in summary("single", data)
-    assert "weak          at belt speeds 1.3 to 1.9: no mass above" in summary("single", data)

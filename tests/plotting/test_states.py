@@ -123,28 +123,6 @@ def test_each_state_has_a_panel_of_its_delays_over_time_that_says_how_it_ended()
     assert panels[0].get_ylabel().startswith("delay")
 
 
-def test_orbits_are_two_displacements_over_the_third():
-    data = made_up("phase_plots")
-    first, *_ = figure({"states": data}).axes
-    x = data["sample_displacement"].values[0]
-    for k, line in enumerate(first.get_lines(), 1):
-        np.testing.assert_array_equal(line.get_xydata(), x[:, [0, k]])
-    labels = [line.get_label() for line in first.get_lines()]
-    assert labels == [r"$\tilde x_{5}$", r"$\tilde x_{6}$"]
-
-
-def test_the_time_series_draw_sticking_apart():
-    page: Any = figure({"states": made_up("time_series")})
-    over_time, plane = page.axes
-    assert "displacement" in over_time.get_ylabel()
-    broad = [line for line in plane.get_lines() if line.get_linewidth() > 3]
-    stuck = height(broad[0])
-    assert set(stuck[np.isfinite(stuck)]) == {SPEED}
-    (words,) = page.legends or page.subfigs[0].legends
-    names = {text.get_text() for text in words.get_texts()}
-    assert names >= {"oscillator 4", "oscillator 5", "the others", "sticks", "belt speed"}
-
-
 @pytest.mark.parametrize("number", range(4, 11))
 def test_the_scenes_are_the_figures_of_the_paper(number):
     table: Any = load_scene(f"fig{number}").scene.experiment["states"]

@@ -30,24 +30,6 @@ def test_an_axis_has_words_symbol_and_unit(name, unit, plain, factor, label):
     assert text == label
 
 
-@pytest.mark.parametrize(
-    ("name", "long_name", "units", "label"),
-    [
-        ("stiffness", "stiffness", "1", "stiffness (–)"),
-        ("stiffness", "relative stiffness", "1", "relative stiffness (–)"),
-        ("coupling", "coupling", "1", "coupling (–)"),
-        ("coupling", "coupling eta_c", "1", r"coupling $\eta_c$ (–)"),
-        ("amplitude", "amplitude of stretch", "1", "amplitude of stretch (–)"),
-        ("amplitude", "vibration amplitude A_n", "x0", r"vibration amplitude $\tilde A_n$ (–)"),
-        ("velocity", "velocity at the start", "1", "velocity at the start (–)"),
-        ("period", "least period T", "1", "least period T (–)"),
-        ("period", "least period T", "1 / omega_n", r"period $\tilde T$ (–)"),
-    ],
-)
-def test_numbers_of_cells_do_not_bear_the_symbols_of_a_chain(name, long_name, units, label):
-    assert axis(name, {"long_name": long_name, "units": units}, None)[1] == label
-
-
 def test_a_value_is_told_with_its_symbol_or_its_name():
     speed = xr.DataArray(1.5, name="belt_speed", attrs={"units": "x0 omega_n"})
     assert value_of(speed, None) == r"$\tilde v_d$ = 1.5"

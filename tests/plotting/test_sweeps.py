@@ -4,13 +4,11 @@ import itertools
 
 import numpy as np
 import pytest
-from drawn import SCALES, across, bar, height, heights, legend, legend_of, page_of
+from drawn import across, height, heights, legend, legend_of, page_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from synthetic import cycle_branch, ladder, results, single
+from synthetic import ladder, results, single
 
-from jaxchain.plotting.branches import plot_branch
-from jaxchain.plotting.colours import SERIES
 from jaxchain.plotting.style import COLUMN_WIDTH
 from jaxchain.plotting.sweeps import plot_sweep
 from jaxchain.result import NAMES
@@ -42,26 +40,6 @@ def test_a_series_for_each_value_by_colour_and_marker():
     assert legend(axes) == [str(k) for k in range(7)]
     title = legend_of(axes).get_title().get_text()
     assert " ".join(title.split()) == "oscillators excited at the start"
-
-
-def test_a_branch_over_a_sweep_leaves_the_legend_its_title():
-    data = single()
-    axes = plot_sweep(data, hue="displacement")
-    plot_branch(cycle_branch(1), ax=axes)
-    assert legend(axes)[-4:] == ["stable", "unstable", "fold", "Hopf point"]
-    assert legend_of(axes).get_title().get_text() == "displacement\n$\\tilde x_n$ (–)"
-
-
-def test_many_series_have_a_colour_bar_and_as_many_colours():
-    data = ladder()
-    axes = plot_sweep(data, "active_share", "excited", hue="belt_speed")
-    assert data.sizes["belt_speed"] > len(SERIES)
-    shades = {line.get_color() for line in axes.get_lines()}
-    assert len(shades) == data.sizes["belt_speed"]
-    assert axes.get_legend() is None
-    assert bar(axes).get_ylabel() == r"belt speed $\tilde v_d$ (–)"
-    for row, drawn in zip(data.active_count.values, heights(axes), strict=True):
-        np.testing.assert_allclose(drawn, row / 6, rtol=1e-15)
 
 
 def test_every_value_of_every_dimension_is_somewhere():
@@ -134,19 +112,6 @@ def test_what_is_swept_together_is_drawn_over_one_of_them():
         plot_sweep(data, x="belt_speed", hue="sample")
 
 
-def test_one_oscillator_shows_its_amplitude_in_si_if_asked():
-    data = single()
-    data["belt_speed"].attrs["units"] = "x0 omega_n"
-    data["amplitude"].attrs["units"] = "x0"
-    axes = plot_sweep(data.isel(displacement=-1), scales=SCALES)
-    assert axes.get_xlabel() == "belt speed $v_d$ (m/s)"
-    assert axes.get_ylabel() == "vibration amplitude $A_n$ (m)"
-    (line,) = axes.get_lines()
-    np.testing.assert_allclose(across(line), 0.5 * data.belt_speed, rtol=1e-14)
-    known = data.amplitude.isel(displacement=-1, oscillator=0)
-    np.testing.assert_allclose(height(line), 0.05 * known, rtol=1e-14)
-
-
 def test_a_variable_tells_all_runs_of_one_panel_apart():
     data = ladder()
     axes = plot_sweep(data, hue="active_count")
@@ -159,28 +124,6 @@ def test_a_variable_tells_all_runs_of_one_panel_apart():
         here = data.active_count.transpose(*data.energy.dims).values == count
         drawn = sorted(zip(across(line), height(line), strict=True))
         assert drawn == sorted(zip(speeds.values[here], data.energy.values[here], strict=True))
-
-
-def test_a_variable_has_the_same_colours_in_all_panels_and_a_bar_for_many_values():
-    data = ladder()
-    data["energy"] = data.energy + np.linspace(0.0, 1.0, 70).reshape(10, 7)
-    for hue in ("active_count", "energy"):
-        panels = plot_sweep(data, "energy", "excited", hue=hue, col="belt_speed")
-        drawn = [
-            (point, line.get_color())
-            for axes in panels
-            for line in axes.get_lines()
-            for point in height(line)
-        ]
-        assert sorted(point for point, _ in drawn) == sorted(data.energy.values.ravel())
-        of = {}
-        for point, colour in drawn:
-            value = data[hue].values[data.energy.values == point][0]
-            assert of.setdefault(value, colour) == colour
-        # A bar has 256 shades.
-        assert len(set(of.values())) == (7 if hue == "active_count" else pytest.approx(50, abs=10))
-    bar = page_of(panels[0]).axes[-1]
-    assert bar.get_ylabel() == r"vibration energy $\tilde E$ (–)"
 
 
 def test_a_run_without_a_value_of_the_hue_is_drawn_grey_and_a_failed_one_as_failed():
@@ -198,20 +141,6 @@ def test_a_run_without_a_value_of_the_hue_is_drawn_grey_and_a_failed_one_as_fail
         plot_sweep(data, hue="amplitude")
 
 
-def test_words_are_told_apart_by_name():
-    names = [f"state {k}" for k in range(9)]
-    data = results({"belt_speed": [1.0, 1.2], "state": names}, np.zeros((2, 9), int), 1)
-    axes = plot_sweep(data, hue="state")
-    assert legend(axes) == names
-    assert len({line.get_color() for line in axes.get_lines()}) == 9
-    assert plot_sweep(data.isel(belt_speed=0), x="state").get_xscale() == "linear"
-
-
-def test_a_number_that_spans_decades_has_a_logarithmic_axis():
-    data = results({"width": [1e-4, 1e-3, 1e-2]}, [1, 1, 1], 1)
-    assert plot_sweep(data).get_xscale() == "log"
-
-
 def test_more_panels_than_are_legible_are_refused():
     data = single().rename(displacement="pull")
     with pytest.raises(ValueError, match=r"at most 24 panels are .* `plot_map`"):
@@ -221,7 +150,6 @@ def test_more_panels_than_are_legible_are_refused():
         plot_sweep(results(axes, np.zeros((2,) * 5, int), 2))
 
 
-def test_times_are_joined_within_one_run_only():
-    data = ladder().rename(belt_speed="segment")
-    for hue, style in (("excited", "-"), ("active_count", "None")):
-        assert {line.get_linestyle() for line in plot_sweep(data, hue=hue).get_lines()} == {style}
+def test_a_number_that_spans_decades_has_a_logarithmic_axis():
+    data = results({"width": [1e-4, 1e-3, 1e-2]}, [1, 1, 1], 1)
+    assert plot_sweep(data).get_xscale() == "log"

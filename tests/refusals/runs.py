@@ -56,7 +56,7 @@ def rows() -> Iterator[Row]:
     bad = RUN["accuracy"]
     yield row("choose_numerics", {"model": CHAIN, "accuracy": 1e-3}, accuracy=bad)
     yield row("cluster", {}, workers=COUNT, scheduler=(3, ["x"]))
-    two = lambda chain, other: START  # noqa: E731
+    two = lambda chain, other: START
     quantities = (
         None, "x", 3, Told({}, "one quantity"), ["belt_speed"], {"nonsense": [1]}, {"n": [1]},
         {3: [1]}, {"belt_speed": "x"}, {"belt_speed": None}, {"belt_speed": []},

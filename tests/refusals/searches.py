@@ -173,7 +173,7 @@ def _inverse() -> Iterator[Row]:
     good: dict[str, Any] = {"chain": DRY, "measurements": Measurements(hopf=(1.0, 0.1))}
     for name in ("predict", "log_likelihood"):
         yield row(name, good, **readings)
-    change = lambda chain, xi: chain.with_(damping_ratio=xi)  # noqa: E731
+    change = lambda chain, xi: chain.with_(damping_ratio=xi)
     more = {"change": change, "start": 0.05}
     bad = {
         "change": (*t.FUNCTION, lambda chain: chain, Told(lambda chain, xi: 3, "is 3")),

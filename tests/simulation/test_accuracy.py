@@ -7,23 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from diffrax import Tsit5
 
 from jaxchain import (
     Amplitude,
-    Chain,
-    Coulomb,
     EventDriven,
-    Rodas5P,
-    TanhFriction,
     Trajectory,
     equation_8,
     paper_chain,
     simulate,
-    sweep,
 )
 from jaxchain.observers import settled
-from jaxchain.simulation import choose_numerics
 from jaxchain.simulation.method import default_rtol
 
 SETS, N = 12, 3
@@ -123,39 +116,6 @@ def test_later_the_promise_is_kept_by_amplitudes_that_have_settled_and_not_by_ot
     assert np.mean(apart > accuracy) < 0.2
 
 
-def test_what_was_picked_is_said_and_used():
-    chain = paper_chain(1, 1.4)
-    initial = equation_8(chain, 1)
-    run = simulate(chain, initial, 20.0, accuracy=1e-2)
-    assert run.numerics is not None
-    width, rtol = run.numerics.width, run.numerics.rtol
-    again = simulate(
-        chain.with_(width=width), initial, 20.0, rtol=rtol, solver=run.numerics.solver
-    )
-    assert np.array_equal(run.state[0], again.state[0])
-    assert again.numerics is None
-    other = simulate(chain, initial, 20.0, accuracy=1e-2, solver=Rodas5P())
-    assert not np.array_equal(run.state[0], other.state[0])
-
-
-def test_more_accuracy_takes_less_width():
-    widths = [float(choose_numerics(paper_chain(), a).width) for a in (1e-1, 1e-3, 1e-5)]
-    assert widths[0] > 50 * widths[1] > 2500 * widths[2]
-    # Friction that does not weaken has a width, too.
-    chain = Chain(2, TanhFriction(Coulomb(0.4), 1e-3), belt_speed=1.0, coupling=0.1)
-    assert 1e-5 < float(choose_numerics(chain, 1e-2).width) < 1e-1
-
-
-def test_accuracy_and_tolerance_exclude_each_other():
-    chain = paper_chain(2)
-    with pytest.raises(ValueError, match="rtol"):
-        simulate(chain, equation_8(chain, 1), 1.0, accuracy=1e-2, rtol=1e-6)
-    with pytest.raises(ValueError, match="width"):
-        sweep(
-            chain, equation_8, 1.0, over={"width": [1e-3], "excited": [1]}, accuracy=1e-2,
-        )  # fmt: skip
-
-
 def test_dry_friction_and_a_narrow_width_have_tolerances_that_fit_them():
     """At 2e-6 the tolerance on a velocity is above the width."""
     chain = paper_chain(1, 1.2).with_(width=1e-6)
@@ -195,12 +155,3 @@ def test_the_tolerance_follows_a_width_down_from_what_was_asked_for():
     assert default_rtol(1, (1e-6, -0.9)) == pytest.approx(1e-6 / 3)
     assert default_rtol(1, (1e-2, [0.1, 0.9])) == 1e-6
     assert default_rtol(4, ([1e-2, 1e-6], 0.9)) == pytest.approx(1e-6 / 6)
-
-
-def test_a_stock_solver_needs_a_tolerance_ten_times_as_tight():
-    chain = paper_chain(1, 1.2).with_(width=1e-3)
-    start = equation_8(chain, 1)
-    assert default_rtol(1, (1e-6, 0.9), Tsit5()) == pytest.approx(1e-6 / 30)
-    simulate(chain, start, 1.0, rtol=5e-4)
-    with pytest.raises(ValueError, match="too loose"):
-        simulate(chain, start, 1.0, rtol=5e-4, solver=Tsit5())

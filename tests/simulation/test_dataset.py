@@ -1,6 +1,5 @@
 """One run as a dataset: the same names, units and numbers as a sweep of one run."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -57,9 +56,3 @@ def test_segments_are_a_dimension_and_two_observers_of_one_name_are_refused():
     twice = simulate(CHAIN, START, 20.0, observe=watch)
     with pytest.raises(ValueError, match=r"several observers that name .*amplitude"):
         twice.to_dataset()
-
-
-def test_traced_runs_are_refused():
-    short = lambda x: simulate(CHAIN, (x, START[1]), 1.0)  # noqa: E731
-    with pytest.raises(ValueError, match="outside of `jit`, `vmap` and `grad`: use `sweep`"):
-        jax.eval_shape(short, START[0]).to_dataset()

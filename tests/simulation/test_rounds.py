@@ -5,8 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import PeakTimes, equation_8, paper_chain, simulate
-from jaxchain.observers import AbstractObserver
 from jaxchain.simulation.event_driven import ROUND, in_rounds
 
 
@@ -44,35 +42,3 @@ def test_derivatives_pass_through_the_notes():
     steps = ROUND + 6
     slope = jax.jvp(lambda a: total(a, float(steps))[1], (jnp.zeros(1),), (jnp.ones(1),))[1]
     assert slope == np.sum(2.0 * np.arange(steps))
-
-
-class EachStep(AbstractObserver):
-    """The same, told of every step."""
-
-    own: PeakTimes
-
-    def init(self, field, t0, t1, y0):
-        return self.own.init(field, t0, t1, y0)
-
-    def update(self, accumulator, step):
-        return self.own.update(accumulator, step)
-
-    def read(self, accumulator):
-        return self.own.read(accumulator)
-
-
-@pytest.mark.long
-def test_an_ensemble_notes_what_its_runs_see_at_every_step():
-    chain = paper_chain(2, 1.4)
-    watch = PeakTimes(12, start=20.0), EachStep(PeakTimes(12, start=20.0))
-
-    @jax.jit
-    @jax.vmap
-    def run(t1):
-        return simulate(chain, equation_8(chain, 2), t1, observe=watch, throw=False).observed
-
-    noted, seen = run(jnp.array([15.0, 60.0, 130.0]))
-    np.testing.assert_array_equal(noted, seen)
-    assert np.all(np.isnan(noted[0]))
-    assert 6 < np.isfinite(noted[1, :, 0]).sum() < 12
-    assert np.all(np.isfinite(noted[2]))

@@ -12,7 +12,6 @@ from jaxchain import (
     Amplitude,
     Chain,
     Coulomb,
-    EventDriven,
     PeakTimes,
     Rodas4,
     TanhFriction,
@@ -40,19 +39,6 @@ def test_coulomb_friction_far_above_the_vibration_is_a_damped_oscillator():
     assert float(run.t) == 7.0
 
 
-def test_energy_balance_of_the_belt():
-    # Work of friction = dissipation + change of stored energy, by quadrature along the run.
-    times = np.linspace(0.0, 20.0, 40001)
-    path = simulate(CHAIN, START, 20.0, observe=Trajectory(times), rtol=1e-9).observed
-    x, v = (np.asarray(part) for part in path)
-    w = v - 1.4
-    force = -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)) * np.tanh(w / 1e-3)
-    stretch = x - np.roll(x, 1, axis=1)
-    stored = 0.5 * (v**2 + x**2 + 0.01 * stretch**2).sum(axis=1)
-    work = np.trapezoid((force * v - 0.1 * v**2).sum(axis=1), times)
-    np.testing.assert_allclose(stored[-1] - stored[0], work, atol=2e-4)
-
-
 def test_segments_continue_the_run_and_report_each_part():
     whole = simulate(CHAIN, START, 60.0, observe=Amplitude(), rtol=1e-8)
     parts = simulate(CHAIN, START, 60.0, observe=Amplitude(), segments=3, rtol=1e-8)
@@ -70,33 +56,6 @@ def test_one_compilation_serves_every_number(compiled):
     compiled.clear()
     run(1.2, 1e-2, 20.0, 2e-8)
     assert not compiled
-
-
-def compiled_text(chain, **kwargs):
-    """The optimized program of a run of 100 time units."""
-    start = equation_8(chain, 1)
-    program = jax.jit(lambda c, y: simulate(c, y, 100.0, throw=False, **kwargs))
-    return str(program.lower(chain, start).compile().as_text())
-
-
-@pytest.mark.long
-def test_what_a_scene_leaves_out_is_not_in_the_compiled_program():
-    n = 23  # a number that occurs nowhere else in the program
-    coupled = compiled_text(paper_chain(n), observe=Amplitude(window=10.0))
-    neighbours = "window={size=3"  # of the convolution that looks at both
-    assert neighbours in coupled
-    # No coupling: no neighbour is ever looked at.
-    alone = compiled_text(paper_chain(n).with_(coupling=None), observe=Amplitude(window=10.0))
-    assert neighbours not in alone
-    # No trajectory buffer when only amplitudes are asked; one when a trajectory is.
-    assert f"f64[1009,{n}]" not in coupled
-    stored = compiled_text(paper_chain(n), observe=Trajectory(jnp.linspace(0.0, 100.0, 1009)))
-    assert f"f64[1009,{n}]" in stored
-    # No tangent: the matrix of a full Jacobian appears only if it is asked for.
-    assert f"f64[{n},{n}]" not in coupled
-    # No per-mass parameters in a homogeneous chain: its inputs are scalars and the state.
-    entry = coupled[coupled.index("ENTRY") :].splitlines()[0]
-    assert entry.count(f"f64[{n}]") == 2 + 3  # state in; state and amplitude out
 
 
 def test_the_linear_solve_is_chosen_by_the_strength_of_the_coupling():
@@ -137,15 +96,6 @@ def test_bad_input_is_named(change, message):
         simulate(CHAIN, arguments.pop("initial"), arguments.pop("t1"), **arguments)
 
 
-def test_without_64_bits_there_is_a_clear_error():
-    jax.config.update("jax_enable_x64", False)
-    try:
-        with pytest.raises(RuntimeError, match="jaxchain needs 64-bit floats"):
-            simulate(CHAIN, START, 1.0)
-    finally:
-        jax.config.update("jax_enable_x64", True)
-
-
 def test_a_traced_span_that_is_bad_or_shorter_than_a_window_is_no_success():
     chain = paper_chain(1)
     whole = partial(
@@ -178,18 +128,3 @@ def test_what_is_observed_of_a_run_that_fails_is_not_handed_out_where_it_is_comp
     assert amplitude(jnp.asarray(7.0)) > 0
     with pytest.raises(RuntimeError, match="a window that fits"):
         amplitude(jnp.asarray(3.0))
-
-
-def test_every_part_of_a_run_to_no_time_fails():
-    chain = paper_chain(1)
-
-    @jax.jit
-    def end(t1):
-        run = simulate(
-            chain, equation_8(chain, 1), t1, segments=3, solver=EventDriven(), throw=False
-        )
-        return code(run.result)
-
-    assert [NAMES[int(end(t1))] for t1 in (jnp.nan, -3.0, 3.0)] == [
-        "bad_span", "bad_span", "successful",
-    ]  # fmt: skip

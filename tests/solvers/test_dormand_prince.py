@@ -11,7 +11,7 @@ from jaxchain.solvers.dormand_prince import step
 def error(h):
     """(Of a step of x'' = -x, as it is and as it is estimated.)"""
     y = jnp.array([1.0, 0.0])
-    rate = lambda y: jnp.stack([y[1], -y[0]])  # noqa: E731
+    rate = lambda y: jnp.stack([y[1], -y[0]])
     end, estimate = step(rate, y, rate(y), h)
     exact = jnp.stack([jnp.cos(h), -jnp.sin(h)])
     return jnp.linalg.norm(end - exact), jnp.linalg.norm(estimate)

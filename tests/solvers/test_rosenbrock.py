@@ -72,35 +72,6 @@ def test_rodas5p_keeps_order_5_where_steps_are_ten_thousand_times_too_long():
     assert end == pytest.approx(5, abs=0.2)
 
 
-@pytest.mark.long
-def test_rodas4_keeps_order_4_while_the_whole_chain_sticks():
-    # On the slow manifold of the sticking chain h / width is 1000.
-    chain = paper_chain(5, belt_speed=0.5, width=1e-4).with_(coupling=0.05)
-    start = (jnp.linspace(-0.3, -0.2, 5), jnp.full(5, 0.5))
-    settled = solve(chain, Rodas5P(), start, 0.3, rtol=1e-12).ys
-    y0 = tuple(part[0] for part in settled)
-    exact = solve(chain, Rodas5P(), y0, 1.0, rtol=1e-13).ys[0][0]
-    counts = [10, 20, 40]
-    errors = [
-        np.max(np.abs(solve(chain, Rodas4(), y0, 1.0, 1.0 / n).ys[0][0] - exact)) for n in counts
-    ]
-    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(4, abs=0.2)
-
-
-def test_agrees_with_a_stock_solver_on_the_stick_slip_chain():
-    chain = paper_chain(20, belt_speed=1.3, width=1e-2)
-    y0 = equation_8(chain, 9)
-    ours = solve(chain, Rodas4(), y0, 10.0, rtol=1e-9).ys
-    stock = solve(chain, dfx.Dopri8(scan_kind="lax"), y0, 10.0, rtol=1e-11, dt=1e-3).ys
-    np.testing.assert_allclose(np.stack(ours), np.stack(stock), atol=1e-6)
-
-
-def test_time_may_run_backward():
-    field = driven(1.0)
-    solution = solve(field, Rodas5P(), field.exact(3.0), 0.0, -0.02, t0=3.0)
-    np.testing.assert_allclose(solution.ys[0][0], field.exact(0.0)[0], atol=1e-9)
-
-
 @pytest.mark.parametrize(("solver", "springs"), [(Rodas4(), None), (Rodas5P(2), SPRINGS)])
 def test_a_step_with_its_stages_in_a_loop_is_the_same_with_its_derivatives(solver, springs):
     rate, cubic, mixed = jnp.asarray([1.0, 0.4, 0.3])

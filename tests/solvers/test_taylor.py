@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.solvers.taylor import first_exit, greatest_curvature, value, value_and_slope
+from jaxchain.solvers.taylor import first_exit, value, value_and_slope
 
 FAR = 1e100
 
@@ -42,7 +42,7 @@ def test_values_slopes_and_the_bound_of_the_curvature():
     np.testing.assert_allclose(q, P.polyval(0.3, rows), rtol=1e-14)
     np.testing.assert_allclose(slope, P.polyval(0.3, P.polyder(rows)), rtol=1e-13)
     assert np.array_equal(value(list(jnp.asarray(rows)), 0.3), q)
-    both = lambda t: value_and_slope(list(jnp.asarray(rows)), t)  # noqa: E731
+    both = lambda t: value_and_slope(list(jnp.asarray(rows)), t)
     _, (rate, bend) = jax.jvp(both, (0.3,), (1.0,))
     np.testing.assert_allclose(rate, slope, rtol=1e-13)
     np.testing.assert_allclose(bend, P.polyval(0.3, P.polyder(rows, 2)), rtol=1e-13)
@@ -67,14 +67,6 @@ def test_exits_are_found_to_rounding():
         coefficients = from_roots(0.4, 0.4, degree=6)
         coefficients[0] += height
         assert _until_final(coefficients, 1.0) == (1.0, False), height
-
-
-def test_curvature_is_a_bound():
-    rows = np.random.default_rng(1).normal(size=(8, 50))
-    bound = greatest_curvature(list(jnp.asarray(rows)), 0.7)
-    second = np.polynomial.polynomial.polyder(rows, 2)
-    values = np.abs(np.polynomial.polynomial.polyval(np.linspace(0, 0.7, 200), second))
-    assert np.all(values.max(axis=1) <= bound * (1 + 1e-12))
 
 
 def test_either_edge_of_a_band():

@@ -145,13 +145,6 @@ def _along(function, rate):
     return lambda s: jax.jvp(function, (s,), (rate(s),))[1]
 
 
-def test_an_operation_without_a_rule_is_left_to_taylor_mode_differentiation():
-    def function(s):
-        return jax.lax.erf_inv(0.5 * s)
-
-    np.testing.assert_allclose(coefficients(function), by_jet(function), rtol=1e-12)
-
-
 def test_a_law_that_cannot_be_expanded_is_refused_with_a_reason():
     def function(s):
         return jax.lax.while_loop(lambda y: y[0] < 9.0, lambda y: y * (1.0 + s), 1.0 + s)
@@ -239,27 +232,6 @@ def test_at_a_corner_a_force_takes_the_side_to_which_the_motion_goes():
     kink = composed(lambda q, v: jnp.abs(q) + q % 1.0, path, other, slopes=[path[1], 1.0])
     np.testing.assert_array_equal(kink[0], [0.0, 1.0])
     np.testing.assert_array_equal(kink[1], [2.0, 0.0])
-
-
-def test_a_law_in_which_a_rule_is_missing_must_state_its_choices_all_the_same():
-    with pytest.raises(ValueError, match="give the law the field or property `knots`"):
-        coefficients(lambda s: jax.lax.erf_inv(0.5 * s) + jnp.max(jnp.stack([s, 1.0 - s]), axis=0))
-
-
-def test_derivatives_go_through_a_series_in_both_directions():
-    def last(rate, start):
-        series = composed(lambda s: jnp.exp(-rate * s) / (1.0 + s), [start, *PATH[1:]])
-        return jnp.sum(series[ORDER - 1])
-
-    rate, start, h = jnp.asarray(0.8), PATH[0], 1e-5
-    forward, reverse = (
-        jax.jit(derivative(last, argnums=(0, 1)))(rate, start)
-        for derivative in (jax.jacfwd, jax.jacrev)
-    )
-    for one, other in zip(forward, reverse, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12)
-    difference = (last(rate + h, start) - last(rate - h, start)) / (2 * h)
-    np.testing.assert_allclose(forward[0], difference, rtol=1e-8)
 
 
 def test_one_more_order_costs_as_many_operations_as_its_number():

@@ -2,12 +2,10 @@
 
 import itertools
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, simulate, sweep
-from jaxchain.model import MechanicalCells
 from jaxchain.sweeps.axes import Grid, check_axes, check_chunks, chunks_of, jobs
 
 AXES = {
@@ -61,25 +59,6 @@ def test_numbers_per_mass_and_matrices_run_along_realisations():
     pairs = {"mu_static": [0.8, 1.0, 1.2], "mu_dynamic": [0.2, 1.1, 1.15]}
     with pytest.raises(ValueError, match="mu_dynamic"):
         check_axes(chain, equation_8(chain, 1), {"pair": pairs})
-    matrices = np.array([[[2.0, 0.5], [0.5, 1.0]], [[3.0, 0.2], [0.2, 1.5]]])
-    cells = MechanicalCells(matrices[0])
-    start = jnp.ones(1), *jnp.zeros((3, 1))
-    data = sweep(cells, start, 1.0, over={"stiffness": matrices})
-    frequencies = np.linalg.eigvalsh(matrices) ** 0.5
-    assert data.end_time.shape == (2,)
-    for k, found in enumerate(data.amplitude.values[:, 0]):
-        shapes = np.linalg.eigh(matrices[k])[1]
-        times = np.linspace(0.9, 1.0, 1001)
-        x = (shapes[0] * shapes[0]) @ np.cos(np.outer(frequencies[k], times))
-        assert found == pytest.approx(np.ptp(x) / 2, rel=1e-4)
-
-
-def test_a_grid_is_not_made_before_its_blocks_are():
-    """10^12 jobs would not fit."""
-    million = np.arange(10**6, dtype=float)
-    grid = Grid({"a": {"a": million}, "b": {"b": million}}, {"a": 10, "b": 100})
-    assert (grid.block_size, grid.counts) == (1000, (10**5, 10**4))
-    assert grid.block(next(grid.all_keys())).size == grid.block((99_999, 9_999)).size == 1000
 
 
 @pytest.mark.parametrize("size", [1, 5, 7, 29, 30, 1000])

@@ -33,20 +33,6 @@ def programs():
     return program.cache_info().misses, start_program.cache_info().misses
 
 
-@pytest.mark.long
-def test_a_new_function_compiles_its_starts_alone():
-    first = run(lambda chain, pull: equation_8(chain, 1), pull=[0.0, 1.0])
-    large, small = programs()
-
-    def pulled(by):
-        return run(lambda chain, k: (by * k, 0.0), k=[1, 2])
-
-    weak, strong = pulled(0.1), pulled(0.2)
-    assert not np.array_equal(weak.amplitude, first.amplitude)
-    assert not np.array_equal(weak.amplitude, strong.amplitude)
-    assert programs() == (large, small + 2)
-
-
 def test_a_partial_of_the_same_function_and_numbers_compiles_nothing():
     def initial(chain, size, k) -> Any:
         return size * k, 0.0
@@ -112,19 +98,3 @@ def test_what_vary_leaves_as_it_is_stays_one_number_for_all_lanes(vary, new):
     start = starts.of(row)
     made = varied.make(chain.with_(**start.numbers.numbers), start.numbers.new)
     assert eqx.tree_equal(made, chain_of_run(chain, vary, row))
-
-
-def test_what_is_no_array_is_none_of_the_data():
-    chain = paper_chain(2, width=None)
-
-    def vary(chain, u):
-        return eqx.tree_at(lambda c: c.friction.mu_dynamic, chain.with_(mu_static=u), 0.25)
-
-    starts = RunStarts(chain, equation_8(chain, 1), vary, chain.n)
-    one, other = (starts.varied({"u": jnp.asarray(u)}) for u in (1.0, 2.0))
-    assert one is not None
-    assert hash(one) == hash(other)
-    start = starts.of({"u": jnp.asarray(1.5)})
-    friction: Any = one.make(chain, start.numbers.new).friction
-    assert (float(friction.mu_static), friction.mu_dynamic) == (1.5, 0.25)
-    assert len(start.numbers.new) == 1

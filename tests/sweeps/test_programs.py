@@ -1,6 +1,5 @@
 """Programs on devices: padding, counting, joining, and independence of the devices."""
 
-import threading
 import time
 
 import equinox as eqx
@@ -11,7 +10,7 @@ import pytest
 from jax.experimental import serialize_executable
 
 from jaxchain.sweeps import programs
-from jaxchain.sweeps.programs import Program, map_lanes, put_on_device, ready
+from jaxchain.sweeps.programs import Program, map_lanes
 
 
 class Logistic(eqx.Module):
@@ -70,33 +69,3 @@ def test_what_was_compiled_for_one_device_is_loaded_on_the_next(movable, monkeyp
         jax.monitoring.unregister_event_duration_listener(listen)
     np.testing.assert_array_equal(*results)
     assert (len(compiled) == 1) == (movable == "moved")
-
-
-def test_programs_from_the_disk_leave_nothing_in_memory():
-    """Each of them would leave an entry of a list, which grows for as long as the process runs."""
-
-    def look():
-        programs._listen("/jax/compilation_cache/cache_hits")
-        return vars(programs._latest).copy()
-
-    assert [look() for _ in range(1000)][-1] == {"from_disk": True}
-    found = []
-    thread = threading.Thread(target=lambda: found.append(vars(programs._latest).copy()))
-    thread.start()
-    thread.join()
-    assert found == [{}]  # of another thread
-
-
-@pytest.mark.parametrize("number", [True, False])
-def test_a_program_runs_on_the_device_that_is_asked_for(number):
-    """Also if none of its arguments lies on a device, or one on another."""
-    devices, x = jax.local_devices()[:2], np.linspace(0.1, 0.4, 5)
-    task = 3.9 if number else Logistic(jax.device_put(3.9, devices[0]))
-
-    def kicked(task, x):
-        return x + getattr(task, "rate", task)
-
-    for device in devices:
-        found = ready(kicked, device, put_on_device(task, device), x)(x)
-        assert found.devices() == {device}
-        np.testing.assert_array_equal(found, x + 3.9)

@@ -1,22 +1,19 @@
 """A sweep in a store: the same numbers as in memory for any earlier state; its progress."""
 
-import json
 import os
 import shutil
 import signal
 import time
 from pathlib import Path
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
 from stores import CHUNKS, OVER, assert_same, chunk_of, small, written
 
-from jaxchain import Amplitude, equation_8, paper_chain, sweep
+from jaxchain import equation_8
 from jaxchain._outcomes import ADVICE
-from jaxchain.observers.base import AbstractObserver, Variable
 from jaxchain.result import NAMES
 from jaxchain.sweeps import StoreError, SweepInterrupted
 from jaxchain.sweeps.store import (
@@ -30,31 +27,6 @@ from jaxchain.sweeps.store import (
 )
 
 PENDING = NAMES.index("pending")
-
-
-class Kinds(AbstractObserver):
-    """Numbers of several kinds."""
-
-    name: str = eqx.field(static=True)
-
-    def init(self, field, t0, t1, y0):
-        return y0[0], jnp.zeros((), int)
-
-    def update(self, accumulator, step):
-        return step.y1[0], accumulator[1] + 1
-
-    def read(self, accumulator):
-        return accumulator
-
-    def label(self, value, model):
-        last, steps = value
-        return {
-            self.name: Variable(last, ("oscillator",), "x0", "last x_n"),
-            f"{self.name}_half": Variable(last.astype(jnp.float32), ("oscillator",)),
-            f"{self.name}_moves": Variable(last > 0.5, ("oscillator",)),
-            f"{self.name}_steps": Variable(steps),
-            f"{self.name}_count": Variable(steps, is_count=True),
-        }
 
 
 @pytest.fixture(scope="module")
@@ -84,24 +56,6 @@ def test_a_store_holds_what_the_sweep_in_memory_returns(memory, path, chunks):
     assert_same(small(path, chunks=chunks), memory)
     assert_same(xr.open_zarr(path), memory)
     assert_same(small(path, chunks=chunks), memory)
-
-
-@pytest.mark.long
-def test_it_does_so_for_all_that_can_be_observed_and_swept(path):
-    """Of smoothed friction, with widths of its own for each lane; and columns of arrays."""
-    together = {"belt_speed": [1.0, 1.2, 1.4], "x0": np.array([[-1.0], [0.5], [1.0]])}
-    call = {
-        "over": {"sample": together, "v0": [0.0, 0.5]}, "segments": 2, "accuracy": 1e-2,
-        "observe": [Amplitude(), Kinds("own")],
-    }  # fmt: skip
-
-    def run(**more):
-        start = lambda chain, x0, v0: (x0, v0 + 0 * x0)  # noqa: E731
-        return sweep(paper_chain(1, width=1e-2), start, 8.0, **call, lanes=2, **more)
-
-    expected = run()
-    assert expected.own_moves.dtype == bool
-    assert_same(run(store=path, chunks={"sample": 2, "v0": 1}), expected)
 
 
 def test_what_is_not_done_is_pending_and_nan(memory, path, monkeypatch, usual_signals):
@@ -225,16 +179,6 @@ def test_a_grid_that_is_extended_keeps_what_is_done(full, monkeypatch, over, red
         small(full)
 
 
-def test_chunks_that_were_longer_than_a_dimension_stay_as_they_are(path, monkeypatch):
-    """In a larger grid, they would be other ones."""
-    chunks = {"belt_speed": 100, "excited": 100}
-    small(path, chunks=chunks)
-    units = written(monkeypatch)
-    over = extended(belt_speed=[1.7, 1.8])
-    assert_same(small(path, over=over, chunks=chunks), small(over=over))
-    assert units == ["1.0"]
-
-
 def test_a_lane_that_fails_has_its_reason_and_spoils_no_other(path):
     def start(chain, excited):
         x, v = equation_8(chain, excited)
@@ -278,45 +222,10 @@ def test_a_path_that_holds_something_else_is_refused(tmp_path, path):
     assert (file.read_text(), os.listdir(path)) == ("", ["mine.txt"])
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"store": ""}, "Argument `store` must be"),
-        ({"chunks": {"speed": 3}}, "names 'speed', which is not a dimension of the sweep"),
-        ({"chunks": {"excited": 1.5}}, r"chunks\['excited'\]"),
-        ({"store": None}, "`chunks` is for a sweep that is kept in a `store`"),
-    ],
-)
-def test_impossible_stores_and_chunks_are_refused(path, change, message):
-    with pytest.raises(ValueError, match=message):
-        small(**({"store": path, "chunks": CHUNKS} | change))
-    assert not path.exists()
-
-
-def test_a_symbolic_link_leads_to_its_store(full, tmp_path, memory, monkeypatch):
-    (tmp_path / "link").symlink_to(full)
-    units = written(monkeypatch)
-    assert_same(small(tmp_path / "link"), memory)
-    assert units == []
-    assert store_named(tmp_path / "link") == full
-    (tmp_path / "later").symlink_to(tmp_path / "not yet.zarr")
-    assert_same(small(tmp_path / "later"), memory)
-    assert is_whole(tmp_path / "not yet.zarr")
-
-
 def test_other_chunks_are_refused_and_none_are_those_of_the_store(memory, full):
     with pytest.raises(ValueError, match=r"has 3 values along 'excited', but the store .* has 2"):
         small(full, chunks={"excited": 3})
     assert_same(small(full, chunks=None, lanes=None), memory)
-
-
-def test_a_store_of_another_format_is_refused(full):
-    layout = full / "jaxchain" / "zarr.json"
-    content = json.loads(layout.read_text())
-    content["attributes"]["format"] = 0
-    layout.write_text(json.dumps(content))
-    with pytest.raises(ValueError, match="which another version of jaxchain has made"):
-        small(full)
 
 
 def test_a_store_that_is_removed_under_way_is_an_error_and_can_be_begun_anew(

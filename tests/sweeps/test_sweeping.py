@@ -1,7 +1,5 @@
 """Sweeps: the same numbers as single runs; labels, failures, input."""
 
-import io
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,7 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from tqdm import tqdm
 
 from jaxchain import (
     Amplitude,
@@ -17,7 +14,6 @@ from jaxchain import (
     PeakTimes,
     Trajectory,
     equation_8,
-    excited_state,
     paper_chain,
     simulate,
     sweep,
@@ -27,11 +23,6 @@ from jaxchain.result import NAMES
 from jaxchain.sweeps import SweepInterrupted
 
 CHAIN = paper_chain(4, belt_speed=1.4)
-
-
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
 
 
 class Last(AbstractObserver):
@@ -171,11 +162,6 @@ def test_results_do_not_depend_on_how_often_the_host_looks(monkeypatch):
         np.testing.assert_array_equal(seldom[name], often[name])
 
 
-def test_lanes_that_no_memory_holds_are_refused():
-    with pytest.raises(MemoryError, match=r"1000000000 lanes on each device.*fewer `lanes`"):
-        sweep(CHAIN, equation_8, 60.0, over={"excited": [1]}, lanes=10**9)
-
-
 @pytest.mark.parametrize(
     "solver",
     [
@@ -204,36 +190,6 @@ def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
     assert np.all(broken["result"].values[others] == 0)
     for name in ("amplitude", "steps", "end_time"):
         assert np.array_equal(whole[name].values[others], broken[name].values[others])
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(
-    "solver",
-    [
-        pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="dry"),
-    ],
-)
-def test_a_lane_takes_as_many_steps_as_it_may_and_no_more(solver):
-    """As in `simulate`, accepted or rejected; in one program for any number."""
-    from jaxchain.sweeps.programs import program
-
-    def steps(most):
-        with pytest.warns(UserWarning, match="max_steps_reached"):
-            found = sweep(
-                CHAIN, equation_8, 600.0, over={"excited": [0, 4]}, max_steps=most, solver=solver,
-                observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
-            )  # fmt: skip
-        assert NAMES[int(found.result[1])] == "max_steps_reached"
-        return int(found.steps[1] + found.rejected[1]), float(found.end_time[1])
-
-    assert steps(300)[0] == 300
-    programs = program.cache_info().misses
-    taken, time = steps(2)
-    assert program.cache_info().misses == programs
-    run = simulate(CHAIN, equation_8(CHAIN, 4), 600.0, max_steps=2, solver=solver, throw=False)
-    assert taken == int(run.steps + run.rejected) == 2
-    assert time == pytest.approx(float(run.t), rel=1e-9)
 
 
 def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
@@ -269,20 +225,6 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     unknown = [state == "interrupted" for state in states]
     for name in ("active_count", "steps", "rejected", "end_time"):
         assert np.isnan(result[name].values).tolist() == unknown
-
-
-@pytest.mark.long
-def test_labels_know_the_chain_of_their_lane():
-    """A belt so fast that no amplitude counts, set by `vary`."""
-    data = sweep(
-        CHAIN, lambda chain: equation_8(chain, 4), 20.0, over={"speed": [1.4, 1e3]},
-        vary=lambda chain, speed: chain.with_(belt_speed=speed), observe=Amplitude(window=10.0),
-        solver=EventDriven(),
-    )  # fmt: skip
-    assert data.active_count.values.tolist() == [4, 0]
-    # The chain of the attributes is not that of the runs.
-    assert data.attrs["vary"] == "the function `<lambda>(chain, speed)`"
-    assert float(data.amplitude.isel(speed=0).min()) > 1.0
 
 
 @pytest.mark.parametrize(
@@ -373,28 +315,3 @@ def test_bad_input_is_named_before_anything_runs(change, message):
     arguments = {"t1": 60.0, "over": {"excited": [0]}, **change}
     with pytest.raises(ValueError, match=message):
         sweep(CHAIN, equation_8, arguments.pop("t1"), **arguments)
-
-
-@pytest.mark.parametrize(("cores", "devices"), [(4, None), (2, None), (4, 2)])
-def test_cores_that_lie_idle_are_told_of(cores, devices, monkeypatch, capsys):
-    """Here two of them are devices of JAX, see conftest.py."""
-    monkeypatch.setattr("jaxchain.sweeps.scheduler.cores", lambda: cores)
-    chosen = devices and jax.devices()[:devices]
-    speeds = {"belt_speed": [0.9, 1.0, 1.1]}
-    sweep(
-        paper_chain(1, width=1e-2), excited_state, 1.0, over={**speeds, "excited": [1]},
-        progress=True, devices=chosen,
-    )  # fmt: skip
-    told = "2 of 4 cores lie idle: call `jaxchain.configure()` before the first computation.\n"
-    assert (told in capsys.readouterr().err) == (cores == 4 and devices is None)
-
-
-@pytest.mark.long
-def test_the_progress_bar_counts_lanes_that_have_ended(monkeypatch):
-    counts = []
-    monkeypatch.setattr(tqdm, "refresh", lambda bar, *_, **__: counts.append(bar.n))
-    monkeypatch.setattr("sys.stderr", terminal := Terminal())
-    over = {"excited": [0, 1, 2, 3, 4]}
-    sweep(CHAIN, equation_8, 60.0, over=over, lanes=2, devices=jax.devices()[:1], progress=True)
-    assert set(counts) <= set(range(6))
-    assert "5/5 lanes" in terminal.getvalue()
