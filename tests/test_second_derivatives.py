@@ -82,3 +82,13 @@ def test_exponents_and_cycles_that_cannot_go_back_say_what_to_take():
     for function in (jax.grad(exponent), jax.grad(jax.grad(period))):
         with pytest.raises(RuntimeError, match="forward"):
             function(XI)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("chain", [SMOOTHED, DRY])
+def test_second_derivatives_of_runs_agree_with_differences(chain):
+    end = last(chain, rtol=1e-10, adjoint=dfx.RecursiveCheckpointAdjoint())
+    slope, step = jax.jit(jax.jacfwd(last(chain, rtol=1e-10))), 1e-5
+    np.testing.assert_allclose(jax.grad(end)(XI), slope(XI), rtol=1e-9)
+    difference = (slope(XI + step) - slope(XI - step)) / (2 * step)
+    np.testing.assert_allclose(jax.hessian(last(chain, rtol=1e-10))(XI), difference, rtol=1e-4)

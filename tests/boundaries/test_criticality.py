@@ -1,12 +1,14 @@
 """The first Lyapunov coefficient against a closed form and against cycles by harmonic balance."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
 
 from jaxchain import Chain, TanhFriction, paper_chain, steady_sliding
+from jaxchain.boundaries import find_hopf_point
 from jaxchain.boundaries.equilibria import Rates, lyapunov_coefficient
 from jaxchain.boundaries.hopf_scan import hopf_points
 from jaxchain.model.friction import AbstractFrictionLaw
@@ -148,3 +150,18 @@ def test_travelling_and_standing_waves_of_a_ring_branch_off_as_they_should(n, m)
     assert float(points.standing_square_amplitude_slope[k]) == pytest.approx(slope, rel=1e-3)
     # For n = 4 the standing wave leaves every other mass at rest, and the two agree.
     assert np.isclose(slope, travelling, rtol=0.05) == (n == 4)
+
+
+@pytest.mark.long
+def test_its_slopes_along_the_hopf_curve_are_those_of_differences():
+    """Mistuned masses, whose eigenvectors turn as the damping of all of them grows."""
+    chain = MISTUNED.with_(belt_speed=1.2)
+
+    def found(xi):
+        point = find_hopf_point(chain.with_(damping_ratio=xi), "belt_speed", frequency=1.1)
+        return point.lyapunov_coefficient
+
+    h = 1e-4
+    slope = (found(0.05 + h) - found(0.05 - h)) / (2 * h)
+    for derivative in (jax.grad, jax.jacfwd):
+        assert float(derivative(found)(0.05)) == pytest.approx(float(slope), rel=1e-5)

@@ -1,3 +1,4 @@
+import functools
 from typing import cast
 
 import equinox as eqx
@@ -5,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 from wild_sets import steep_sets, wild_chain, wild_sets
 from witnesses.smoothed import OneMass
 
@@ -195,3 +197,49 @@ def test_no_claim_about_a_wild_set_is_contradicted_by_a_run(numbers, least):
     folds, _, _, wrong, missed = claims(numbers)
     assert wrong.size == missed.size == 0
     assert int(jnp.sum(folds.successful)) >= least
+
+
+@pytest.mark.long
+def test_below_the_least_width_gradients_are_those_of_dry_friction():
+    def speed(xi, width):
+        return fold_belt_speed(paper_chain(1).with_(damping_ratio=xi, width=width))
+
+    slopes = jax.jit(jax.grad(speed, (0, 1)))(0.05, 1e-9)
+    dry = jax.grad(lambda xi: fold_belt_speed(paper_chain(1, width=None).with_(damping_ratio=xi)))
+    np.testing.assert_allclose(slopes[0], dry(0.05), rtol=1e-5)
+    grazing = cast(Grazing, find_fold(paper_chain(1, width=None)))
+    np.testing.assert_allclose(slopes[1], jax.grad(grazing.smoothed)(1e-9), rtol=1e-6)
+
+
+@pytest.mark.long
+def test_the_fold_is_the_summit_of_scipys_branch():
+    """V(s) near the summit by SciPy's own shooting: no cycle near it has a greater speed."""
+    for width in (0.2, 0.05):
+        fold = find_fold(paper_chain(1, width=width))
+        mass = OneMass(width)
+
+        def speed(s, guess, mass=mass, width=width):
+            q = np.array(guess)
+            for _ in range(8):
+                v = q[0] + width * s
+                x = mass.force_and_slope(width * s)[0] - 2 * mass.xi * v
+
+                def gap(q, x=x, v=v):
+                    w = width * s
+                    v = q[0] + w
+                    x = mass.force_and_slope(w)[0] - 2 * mass.xi * v
+                    return (mass.after(x, v, q[1], q[0])[0] - [x, v]) / width
+
+                r = gap(q)
+                columns = [(gap(q + h) - r) / 1e-6 for h in 1e-6 * np.eye(2)]
+                step = np.linalg.solve(np.stack(columns, axis=1), r)
+                q = q - step
+                if np.max(np.abs(step)) < 1e-12:
+                    break
+            return -q[0]
+
+        guess = [float(fold.belt_speed), float(fold.period)]
+        s = float(fold.scaled_peak_velocity)
+        below = functools.partial(speed, guess=guess)
+        summit = minimize_scalar(below, bracket=(s - 0.05, s, s + 0.05), options={"xtol": 1e-4})
+        np.testing.assert_allclose(fold.belt_speed, -summit.fun, rtol=3e-9)

@@ -200,3 +200,17 @@ def test_a_traced_window_that_is_none_is_a_failure():
     assert np.isfinite(exponents[0]).all()
     assert np.isnan(exponents[1:]).all()
     assert np.isnan(low[1:]).all()
+
+
+@pytest.mark.long
+def test_a_linear_chain_that_swings():
+    """All real parts are -xi; the plain averages get there like 1 / t, the smooth ones do not."""
+    chain, exact = linear_chain(3, 0.05, np.array([0.20, 0.22, 0.43]))
+    np.testing.assert_allclose(exact, -0.05, atol=1e-14)
+    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 5000.0, 50.0)
+    np.testing.assert_allclose(found.smooth, exact, atol=1e-10, rtol=0)
+    error = np.abs(found.exponents - exact)
+    assert 1e-7 < np.max(error) < 1e-4
+    assert np.all(error <= found.high - found.exponents)
+    assert float(found.sum) == pytest.approx(-0.3, abs=1e-4)
+    assert np.isnan(found.mean_divergence)

@@ -117,3 +117,15 @@ def test_a_ring_has_the_cycle_of_a_chain_and_the_derivative_of_differences():
     np.testing.assert_allclose(
         sorted_by_size(cycle.multipliers), sorted_by_size(same.multipliers), atol=1e-7
     )
+
+
+def test_a_forced_cycle_has_derivatives(forced):
+    def numbers(a):
+        cells = FORCED.with_(force=1.6 + a, frequency=0.6 + a, damping=0.1 + a)
+        cycle = find_limit_cycle(cells, forced[1.6])
+        return jnp.stack([cycle.period, cycle.amplitude[0], *(part[0] for part in cycle.state)])
+
+    slopes, step = jax.jacfwd(numbers)(0.0), 1e-5
+    differences = (numbers(step) - numbers(-step)) / (2 * step)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-6)
+    np.testing.assert_allclose(slopes[0], -2 * np.pi / 0.6**2, rtol=1e-12)

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from systems.oscillators import LinearRing
 
 from jaxchain import excited_state, paper_chain
 from jaxchain.cycles.floquet import (
@@ -15,6 +17,7 @@ from jaxchain.cycles.floquet import (
     monodromy_matrix,
     trace_integral,
 )
+from jaxchain.model.springs import Springs
 from jaxchain.result import SearchResult
 
 
@@ -108,3 +111,27 @@ def test_the_trivial_multiplier_is_known_by_its_vector():
     assert np.sort(np.abs(values - 1.0))[1] > 1e-9
     # With a wrong vector the defect tells.
     assert float(floquet_multipliers(M, jnp.ones(6)).defect) > 1e-2
+
+
+@pytest.mark.long
+def test_a_linear_chain_has_the_matrix_exponential():
+    rng = np.random.default_rng(3)
+    n = 4
+    springs = Springs(jnp.asarray(0.1), "cyclic")
+    x, v = jnp.asarray(rng.normal(size=(2, n)))
+    damping, stiffness = rng.uniform(0.0, 0.1, n), rng.uniform(0.8, 1.2, n)
+    ring = LinearRing(
+        damping=jnp.asarray(damping), stiffness=jnp.asarray(stiffness), springs=springs, x0=x, v0=v
+    )
+    J = np.asarray(ring.jacobian(0.0, (x, v)))
+    found = monodromy_matrix(ring, (x, v), 5.0)
+    np.testing.assert_allclose(found, expm(5.0 * J), atol=1e-9)
+    assert float(trace_integral(ring, (x, v), 5.0)) == pytest.approx(5.0 * np.trace(J), rel=1e-12)
+    defect = liouville_defect(found, trace_integral(ring, (x, v), 5.0))
+    assert float(defect) < 1e-9
+    # All multipliers, against those of the exponential; a linear flow has no trivial one.
+    direction = jnp.linalg.eigh(found @ found.T)[1][:, 0]
+    assert floquet_multipliers(found, direction).multipliers.shape == (2 * n - 1,)
+    cycle = as_cycle(ring, (x, v), 5.0)
+    np.testing.assert_array_equal(monodromy_matrix(cycle), found)
+    assert float(liouville_determinant(cycle)) == pytest.approx(np.exp(5.0 * np.trace(J)))

@@ -1,5 +1,6 @@
 """Cycles of dry friction as sequences of phases."""
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxchain import Coulomb
-from jaxchain.cycles.phases import OTHER_EVENTS, peak
+from jaxchain.cycles.phases import OTHER_EVENTS, peak, turning_point
 from jaxchain.cycles.reading_phases import phases_from, phases_of, slip_phases
 from jaxchain.kinds.event import Event
 from jaxchain.kinds.fold import Fold
@@ -53,3 +54,25 @@ def test_every_curve_of_dry_cycles_ends_where_its_sequence_changes():
     for kind in (Fold(), PeriodDoubling(), Torus(), Event("one", abs)):
         assert {*OTHER_EVENTS} <= {*kind.curve_tests(orbit)}, kind
         assert {*OTHER_EVENTS} <= {*kind.curve_ends(orbit)}, kind
+
+
+def test_a_slip_cycle_that_grazes_solves_the_equations(dry_fold):
+    """Of one mass, as SciPy runs it: all of the other fold equations, by another way."""
+    grazing = dry_fold
+    phases, u = slip_phases(grazing.chain, grazing.state, grazing.period, 0, True)
+    phases = replace(phases, parameter=("belt_speed",))
+    value, _, seen = eqx.filter_jit(lambda phases, u, p: phases.cycle(u, p))(
+        phases, u, grazing.belt_speed
+    )
+    assert np.max(np.abs(value)) < 1e-11
+    assert seen.sound
+    assert np.max(seen.margins) < 0
+    assert float(seen.rho) == pytest.approx(float(-grazing.slope_plus / grazing.slope_minus), 1e-8)
+
+
+def test_the_turning_point_of_a_polynomial_of_degree_5_is_its_extreme():
+    h, polynomial = 0.7, np.polynomial.Polynomial([0.3, 1.0, -0.4, -1.1, 0.6, -0.5])
+    ends = [polynomial.deriv(k)(t) if k else polynomial(t) for t in (0.0, h) for k in range(3)]
+    found = turning_point(*(jnp.asarray([end]) for end in ends), jnp.asarray(h))
+    (turn,) = (r.real for r in polynomial.deriv().roots() if abs(r.imag) < 1e-9 and 0 < r.real < h)
+    assert float(found[0]) == pytest.approx(polynomial(turn), abs=1e-12)

@@ -297,3 +297,33 @@ def test_a_branch_ends_as_asked_and_keeps_what_it_has(dry_branch, monkeypatch):
     monkeypatch.setattr(branches, "change_at", pressed)  # between two sequences of phases
     cut = continue_cycle(*start)
     assert (cut.ended, cut.special) == ("interrupted", ())
+
+
+TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("width", [None, 0.01])
+def test_special_cycles_of_ones_own_and_onsets_have_derivatives(width):
+    chain = paper_chain(1, belt_speed=1.2, width=width)
+    own = {"high": lambda c: c.amplitude[0] - 1.5}
+    high = continue_cycle(find_limit_cycle(chain), events=own).of_kind("high")[0]
+
+    def speed(damping):
+        return find_special_cycle(high, chain.with_(damping_ratio=damping)).value
+
+    slope = jax.grad(speed)(jnp.asarray(0.05))
+    near = [float(speed(0.05 + step)) for step in (1e-5, -1e-5)]
+    assert float(slope) == pytest.approx((near[0] - near[1]) / 2e-5, rel=1e-6)
+
+
+@pytest.mark.long
+def test_a_cell_of_two_displacements_is_scipys_along_its_branch():
+    start = simulate(TWO, tuple(jnp.zeros((4, 1))), 400.0)
+    branch = continue_cycle(find_limit_cycle(TWO, start), bounds=(0.3, 2.0))
+    kinds = [point.kind for point in branch.special]
+    assert kinds
+    for k in np.linspace(0, len(branch.parameter) - 1, 5).astype(int):
+        end, half, _, start = scipy_at(TWO, branch, k)
+        np.testing.assert_allclose(end, start, atol=1e-8)
+        np.testing.assert_allclose(half, branch.amplitude[k, 0], atol=1e-8)

@@ -9,6 +9,7 @@ import pytest
 from witnesses.driven import run
 
 from jaxchain import (
+    Amplitude,
     Coulomb,
     EventDriven,
     StaticKinetic,
@@ -16,6 +17,7 @@ from jaxchain import (
     continue_cycle,
     find_limit_cycle,
     simulate,
+    sweep,
 )
 from jaxchain.model import MechanicalCells, Table
 from jaxchain.solvers.dry_friction import nominal_limit
@@ -235,3 +237,21 @@ def test_a_table_is_read_from_a_file(tmp_path):
 def test_bad_drives_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_a_belt_that_goes_to_and_fro_in_si_units():
+    """20 x'' + 10 x' + 70 x = -294.3 sign(x' - 2 sin(2 pi t / 50)), by another program."""
+    cells = MechanicalCells(
+        70.0, 20.0, damping=10.0, friction=Coulomb(1.0), normal_load=294.3,
+        belt_speed=lambda t: 2.0 * jnp.sin(2 * jnp.pi * t / 50),
+    )  # fmt: skip
+    x, _ = simulate(cells, (jnp.zeros(1),) * 2, 100.0, rtol=1e-12).state
+    assert float(x[0]) == pytest.approx(-4.191208700, abs=1e-9)
+
+
+def test_a_sweep_of_what_moves_is_its_runs():
+    cells, watch = moving(), (Amplitude(5.0), StickTime())
+    data = sweep(cells, MOVING_START, 20.0, over={"damping": [0.1, 0.2]}, observe=watch)
+    assert "active_count" not in data  # it is not known what is fast
+    single = simulate(cells.with_(damping=0.2), MOVING_START, 20.0, observe=watch)
+    np.testing.assert_allclose(data.amplitude[1], single.observed[0], rtol=1e-12)

@@ -306,3 +306,42 @@ def test_with_changes_one_number():
                 np.testing.assert_array_equal(changed[other], factor * np.asarray(number))
         with pytest.raises(ValueError, match=r"does not know \['nothing'\]"):
             cells.with_(nothing=1.0)
+
+
+def test_a_fault_moves_as_scipy_says():
+    fault = BurridgeKnopoff(FRICTION, speed=0.3, coupling=2.0, ends="free")
+    start = np.stack([0.3 * np.sin(np.arange(5.0)), np.zeros(5)])
+
+    numbers = one_of(fault, 1, 0)
+
+    def rate(t, y):
+        u, v = y.reshape(2, 5)
+        d = np.diff(np.pad(u, 1, mode="edge"), 2)
+        return np.concatenate(burridge_knopoff(numbers, t, (u, v), d))
+
+    tight = {"method": "LSODA", "rtol": 1e-11, "atol": 1e-13}
+    expected = solve_ivp(rate, (0, 15), start.ravel(), **tight).y[:, -1].reshape(2, 5)
+    run = simulate(fault, tuple(map(jnp.asarray, start)), 15.0, rtol=1e-10)
+    assert np.max(np.abs(expected[1])) > 0.1  # some block slips
+    np.testing.assert_allclose(np.stack(run.state), expected, atol=1e-6)
+    velocities, width = fault.switching(0.0, run.state[1])
+    np.testing.assert_array_equal(velocities, run.state[1])
+    assert width == 1e-2
+
+
+RING = Duffing(1.0, 2.0, damping=0.1, stiffness=1.0, cubic=2.0, mass=1.0, coupling=0.1)
+
+
+WAVE = (jnp.sin(jnp.arange(10.0)), 0.5 * jnp.cos(3.0 * jnp.arange(10.0)))
+
+
+def test_a_ring_of_duffing_oscillators_moves_as_scipy_says():
+    def rate(t, y):
+        x, v = y.reshape(2, 10)
+        springs = 0.1 * (np.roll(x, 1) - 2 * x + np.roll(x, -1))
+        return np.concatenate([v, np.cos(2 * t) - 0.1 * v - x - 2 * x**3 + springs])
+
+    tight = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-15}
+    expected = solve_ivp(rate, (0, 20), np.concatenate(WAVE), **tight).y[:, -1]
+    run = simulate(RING, WAVE, 20.0, rtol=1e-12)
+    np.testing.assert_allclose(np.concatenate(run.state), expected, atol=1e-9)

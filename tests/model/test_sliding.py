@@ -1,5 +1,6 @@
 """The linear stability of steady sliding against the chain's own Jacobian."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -70,3 +71,13 @@ def test_dry_friction_damps_sliding_as_the_law_says_down_to_rest():
     np.testing.assert_allclose(points.belt_speed, np.log(10) / 2, rtol=1e-14)
     assert points.kind == ("weakening friction",)
     assert len(hopf_points(dry.with_(width=1e-3), (0.0, 5.0)).kind) == 2
+
+
+def test_growth_of_a_uniform_chain_is_that_of_each_of_its_modes():
+    chain = paper_chain(5)
+    for speed in (0.5, 1.5):
+        values = np.asarray(sliding_eigenvalues(chain, jnp.asarray(speed)))
+        rate = float(growth_rate(chain, jnp.asarray(speed)))
+        np.testing.assert_allclose(np.real(values), rate, atol=1e-12)
+        slope = jax.grad(lambda v: growth_rate(chain, v))(speed)
+        assert float(slope) == pytest.approx(-np.exp(-2 * speed), rel=1e-12)

@@ -407,3 +407,15 @@ def test_steps_end_where_a_force_chooses_another_case():
         )  # fmt: skip
         np.testing.assert_allclose(x, pieces[-1][0].y[0, -1], atol=1e-8, err_msg=str(shares))
     assert np.all(rejected < 10)  # a jump alone costs some thirty
+
+
+def test_the_derivative_in_an_end_that_falls_together_with_an_event():
+    """At r = -p mu_st the belt, which has carried the mass from x0, lets it go at the end."""
+    slides = 0.5 + 0.5 * np.exp(-2.0 * 1.2)
+    p = of_three((0.1, slides, slides), (1.2, 0.0, 0.0), 1.2, 0.0)
+    release = 1.0 - 2.0 * 0.05 * 1.2
+    t1 = (release - 0.1) / 1.2
+    for ulps in (-2, -1, 0, 1, 2):
+        _, by_p, by_t1 = end_and_slopes(p, t1 + ulps * np.spacing(t1))
+        found = [[by_p[i, 0], by_t1[i]] for i in (0, 3)]
+        np.testing.assert_allclose(found, [[1.0, 1.2], [0.0, 0.0]], atol=1e-12)

@@ -80,3 +80,21 @@ def test_accuracy_picks_the_same_width_in_other_units():
         other = choose_numerics(the_same_mass(1e-3, unit, time), 1e-2)
         np.testing.assert_allclose(other.width, unit * chosen.width, rtol=1e-12)
         np.testing.assert_allclose(other.rtol, chosen.rtol, rtol=1e-12)
+
+
+@pytest.mark.long
+def test_the_promise_of_accuracy_is_kept_by_a_sweep_of_cells():
+    cells, accuracy, speeds = the_same_mass(1e-3), 1e-3, (1.3, 1.4)
+    data = sweep(
+        cells, START, 30.0, over={"belt_speed": list(speeds)}, observe=Amplitude(7.0),
+        accuracy=accuracy,
+    )  # fmt: skip
+    for speed, found in zip(speeds, data.amplitude, strict=True):
+        exact = simulate(
+            the_same_mass(None).with_(belt_speed=speed), START, 30.0, observe=Amplitude(7.0),
+            solver=EventDriven(6), rtol=1e-10,
+        ).observed  # fmt: skip
+        error = abs(found - exact) / exact
+        assert 1e-3 * accuracy < error[0] < accuracy, speed
+    with pytest.raises(ValueError, match="`accuracy` picks the width of smoothed friction"):
+        simulate(MechanicalCells(1.0), START, 1.0, accuracy=accuracy)

@@ -128,3 +128,16 @@ def test_what_is_observed_of_a_run_that_fails_is_not_handed_out_where_it_is_comp
     assert amplitude(jnp.asarray(7.0)) > 0
     with pytest.raises(RuntimeError, match="a window that fits"):
         amplitude(jnp.asarray(3.0))
+
+
+def test_energy_balance_of_the_belt():
+    # Work of friction = dissipation + change of stored energy, by quadrature along the run.
+    times = np.linspace(0.0, 20.0, 40001)
+    path = simulate(CHAIN, START, 20.0, observe=Trajectory(times), rtol=1e-9).observed
+    x, v = (np.asarray(part) for part in path)
+    w = v - 1.4
+    force = -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)) * np.tanh(w / 1e-3)
+    stretch = x - np.roll(x, 1, axis=1)
+    stored = 0.5 * (v**2 + x**2 + 0.01 * stretch**2).sum(axis=1)
+    work = np.trapezoid((force * v - 0.1 * v**2).sum(axis=1), times)
+    np.testing.assert_allclose(stored[-1] - stored[0], work, atol=2e-4)

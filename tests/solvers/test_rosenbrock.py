@@ -120,3 +120,11 @@ def test_an_unproven_truncation_with_a_constant_step_is_a_failure_not_a_wrong_nu
 def test_other_vector_fields_are_refused_with_the_way_out():
     with pytest.raises(ValueError, match="Use a stock diffrax solver"):
         solve(lambda t, y, args: y, Rodas4(), (jnp.ones(2), jnp.ones(2)), 1.0, 0.1)
+
+
+def test_agrees_with_a_stock_solver_on_the_stick_slip_chain():
+    chain = paper_chain(20, belt_speed=1.3, width=1e-2)
+    y0 = equation_8(chain, 9)
+    ours = solve(chain, Rodas4(), y0, 10.0, rtol=1e-9).ys
+    stock = solve(chain, dfx.Dopri8(scan_kind="lax"), y0, 10.0, rtol=1e-11, dt=1e-3).ys
+    np.testing.assert_allclose(np.stack(ours), np.stack(stock), atol=1e-6)

@@ -1,5 +1,6 @@
 """A sweep in a store: the same numbers as in memory for any earlier state; its progress."""
 
+import json
 import os
 import shutil
 import signal
@@ -276,3 +277,12 @@ def test_durations_have_the_unit_that_suits_them():
     assert [duration(s) for s in (0.4, 59.0, 60.0, 5400.0, 86400.0 * 1000)] == [
         "0 s", "59 s", "1 min", "1.5 h", "1,000 days",
     ]  # fmt: skip
+
+
+def test_a_store_of_another_format_is_refused(full):
+    layout = full / "jaxchain" / "zarr.json"
+    content = json.loads(layout.read_text())
+    content["attributes"]["format"] = 0
+    layout.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match="which another version of jaxchain has made"):
+        small(full)
