@@ -194,7 +194,7 @@ REFUSED = {
         "^jaxchain: scene two.toml has an error:   experiment.first.chain.n: must be at least 1, "
         "but is -1 $",
     "run two.toml --set experiment.first.chain.friction.width=1e-7":
-        "scene two has an error:   experiment.first: Arguments `rtol`.*Use `rtol` = ",
+        "scene two has an error:   experiment.first.numerics: Arguments `rtol`.*Use `rtol` = ",
     "scenes nothing": "is neither a file nor built in",
     "boundary --width -1": "`width` must be positive",
     "boundary --damping-ratio nan": "`damping_ratio` must be finite",
