@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import html
 import io
@@ -17,6 +18,7 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, NumericInput
 from bokeh.models import Slider as BokehSlider
 from bokeh.models import Toggle as BokehToggle
+from panel.io.state import set_curdoc
 
 from . import searches, takeaway
 from .pictures import Pictures, plain
@@ -27,7 +29,8 @@ FRAME, NUMBERS_EVERY, IN_FLIGHT = 36, 5, 3
 # Seconds after which changed parameters ask for new boundaries, for their error bars, and after
 # a search for them again.
 _QUIET, _BARS, _AGAIN = 1.0, 6.0, 15.0
-_LOST = 1.0  # seconds after which a picture counts as lost
+# Seconds after which a picture counts as lost, and after which a browser is slow.
+_LOST, _SLOW = 1.0, 0.1
 _SPEEDS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 400]
 _ACKNOWLEDGE = "const now = cb_obj.tags; requestAnimationFrame(() => { ack.tags = now })"
 _SILENCE = "if (!on.active && window.squeal) { window.squeal.close(); window.squeal = null }"
@@ -57,7 +60,7 @@ class Page:
             self.said = str(error)
         self.pictures = Pictures(session, self.kick, stored)
         self.frame = self.seen = self.count = self.sent = 0
-        self.ready, self.limits, self.found = False, None, None
+        self.ready, self.limits, self.found, self.lag = False, None, None, 0.0
         self.asked: Any = (None, None, None)
         self.changed, self.gone, self.ticking = time.monotonic(), False, None
         self.cancelled, self.behind = threading.Event(), threading.Event()
@@ -388,6 +391,8 @@ class Page:
     def _acknowledged(self, name: str, old: Any, new: list[int]) -> None:
         del name, old
         self.seen = max(self.seen, int(new[0]))
+        if self.seen == self.frame:
+            self.lag += 0.3 * (time.monotonic() - self.sent - self.lag)
 
     def warm(self) -> None:
         """Loads or compiles the program of a frame, off the thread that serves."""
@@ -405,7 +410,7 @@ class Page:
 
         threading.Thread(target=work, daemon=True).start()
 
-    def tick(self) -> None:
+    async def tick(self) -> None:
         """Goes on by a frame, and shows it unless the browser is behind."""
         visitor = self.doc.session_context.session
         if self.ticking and self.seen and visitor and not visitor.connection_count:
@@ -419,16 +424,20 @@ class Page:
                 connection._socket.set_nodelay(True)
         self.count += 1
         if self.play.value and not self.session.failure:
-            self.session.advance(self.session.speed * FRAME * 1e-3)
+            length = self.session.speed * FRAME * 1e-3
+            await asyncio.to_thread(self.session.advance, length)
         if self.session.failure and self.session.failure != self.said:
             self._say(self.session.failure)
-        self.draw(counted=self.count % NUMBERS_EVERY == 0)
+        # On the thread that serves: all changes of a picture are one message.
+        with set_curdoc(self.doc), pn.io.unlocked():
+            self.draw(counted=self.count % NUMBERS_EVERY == 0)
 
     def draw(self, counted: bool) -> None:
         """Sends the present state to the browser, unless it has not drawn the last ones yet."""
         now = time.monotonic()
-        behind = self.frame - self.seen >= IN_FLIGHT and now - self.sent < _LOST
-        if not self.ready or behind:
+        # A browser that is slow gets one picture at a time: those that wait would delay a slider.
+        most = IN_FLIGHT if self.lag < _SLOW else 1
+        if not self.ready or (self.frame - self.seen >= most and now - self.sent < _LOST):
             return
         self.frame, self.sent = self.frame + 1, now
         if counted:

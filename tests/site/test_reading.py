@@ -41,7 +41,9 @@ QUESTIONS = {
     "does it run on gpu": ("faq", "guides/gpu"),
     "convert newton and metre": ("faq", "guides/units"),
     "ode45": ("coming_from/matlab",),
-    "unilateral contact gap": ("guides/drives", "guides/contacts", "examples/11_a_pad_that_lifts_off"),
+    "unilateral contact gap": (
+        "guides/drives", "guides/contacts", "examples/11_a_pad_that_lifts_off",
+    ),
     "derivative with respect to mass": ("guides/gradients",),
     "interactive sliders": ("guides/explorer", "start"),
     "monte carlo uncertain parameters": ("guides/maps_and_scatter",),
