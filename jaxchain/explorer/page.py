@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import html
 import io
@@ -18,7 +17,6 @@ from bokeh.layouts import column, row
 from bokeh.models import ColumnDataSource, CustomJS, NumericInput
 from bokeh.models import Slider as BokehSlider
 from bokeh.models import Toggle as BokehToggle
-from panel.io.state import set_curdoc
 
 from . import searches, takeaway
 from .pictures import Pictures, plain
@@ -80,13 +78,16 @@ class Page:
         session, n, make = self.session, self.session.n, pn.widgets
         small: Any = {"margin": (2, 4), "sizing_mode": "stretch_width"}
 
+        # Panel's events come without the lock of the document, which a tick may hold.
         def button(name: str, action: Callable[[], Any], kind: str = "default") -> Any:
             made = make.Button(name=name, button_type=kind, **small)
-            made.on_click(lambda event: self._doing(action))
+            made.on_click(lambda event: self._later(lambda: self._doing(action)))
             return made
 
         def watched(made: Any, action: Callable[[Any], Any]) -> Any:
-            made.param.watch(lambda event: self._doing(action, event.new), "value")
+            made.param.watch(
+                lambda event: self._later(lambda: self._doing(action, event.new)), "value"
+            )
             return made
 
         self.play = watched(
@@ -313,7 +314,7 @@ class Page:
         threading.Thread(target=work, daemon=True).start()
 
     def _later(self, action: Callable[[], Any]) -> None:
-        """Does it on the thread that serves, while the visitor is there."""
+        """Does it with the lock of the document, while the visitor is there."""
 
         def act() -> None:
             visitor = self.doc.session_context.session
@@ -362,28 +363,34 @@ class Page:
         self.cancelled.set()
 
     def _ask_for_limits(self) -> None:
-        """Asks for Hopf speed and fold once the parameters have been quiet for a while."""
+        """Asks for Hopf point and fold once the parameters have been quiet for a while."""
+        if self.session.axis is None:
+            return
         quiet = time.monotonic() - self.changed
         numbers = {s.name: self.session.value(s.name) for s in self.session.sliders}
-        numbers.pop("belt_speed", None)
+        over = "belt_speed" if "belt_speed" in numbers else self.session.axis
+        value, made = numbers.pop(over), self.sliders[over][0]
+        bounds = min(made.start, value), max(made.end, value)
         asked, bars, busy = self.asked
-        new = asked != numbers
+        new = asked != (over, numbers)
         if busy or quiet < (_QUIET if new else _BARS) or (bars and not new):
             return
         bars = not new
-        self.asked = numbers, bars, True
+        self.asked = (over, numbers), bars, True
 
         def ended(answer: Any, problem: Exception | None) -> None:
             self.asked = (*self.asked[:2], False)
-            if isinstance(problem, ValueError):  # not for this kind of model
-                self.asked = numbers, True, False
+            if isinstance(problem, ValueError) or (answer and answer["note"]):  # no bars
+                self.asked = (over, numbers), True, False
+            if isinstance(problem, ValueError):
+                answer = {"parameter": over, "note": str(problem)}
             if isinstance(problem, searches.CancelledError):  # for a search: again later
                 self.asked, self.changed = (None, None, False), time.monotonic() + _AGAIN
                 return
             self.limits = answer if new else {**(self.limits or {}), **(answer or {})}
             self.pictures.show_limits(self.limits)
 
-        task = searches.boundaries, self.session.model, bars
+        task = searches.boundaries, self.session.model, bars, over, bounds
         self.behind = threading.Event()
         self._in_thread(ended, *task, background=True, cancelled=self.behind)
 
@@ -410,7 +417,7 @@ class Page:
 
         threading.Thread(target=work, daemon=True).start()
 
-    async def tick(self) -> None:
+    def tick(self) -> None:
         """Goes on by a frame, and shows it unless the browser is behind."""
         visitor = self.doc.session_context.session
         if self.ticking and self.seen and visitor and not visitor.connection_count:
@@ -424,13 +431,10 @@ class Page:
                 connection._socket.set_nodelay(True)
         self.count += 1
         if self.play.value and not self.session.failure:
-            length = self.session.speed * FRAME * 1e-3
-            await asyncio.to_thread(self.session.advance, length)
+            self.session.advance(self.session.speed * FRAME * 1e-3)
         if self.session.failure and self.session.failure != self.said:
             self._say(self.session.failure)
-        # On the thread that serves: all changes of a picture are one message.
-        with set_curdoc(self.doc), pn.io.unlocked():
-            self.draw(counted=self.count % NUMBERS_EVERY == 0)
+        self.draw(counted=self.count % NUMBERS_EVERY == 0)
 
     def draw(self, counted: bool) -> None:
         """Sends the present state to the browser, unless it has not drawn the last ones yet."""
@@ -490,18 +494,20 @@ class Page:
         return f"<dl>{''.join(f'<div><dt>{a}</dt><dd>{b}</dd></div>' for a, b in each)}</dl>"
 
     def _distances(self) -> Any:
-        """How far the belt speed is from Hopf speed and fold."""
+        """How far the parameter is from its Hopf point and fold; what is not known says why."""
         found = self.limits or {}
-        for name in ("hopf", "fold"):
-            value = found.get(name)
-            if value is None:
-                yield f"{name.capitalize()} speed", "none"
+        name, note = found["parameter"], found["note"]
+        sign = "v_d" if name == "belt_speed" else name
+        for kind in ("hopf", "fold"):
+            title = f"{kind.capitalize()}, {sign}"
+            if (value := found.get(kind)) is None:
+                yield title, "none" if kind in found or not note else f"not searched: {note}"
                 continue
-            gap = self.session.run.belt_speed - value
-            text = f"{value:.6f}, {abs(gap):.4f} {'below' if gap > 0 else 'above'} v_d"
-            if (dry := found.get(f"{name}_dry")) is not None:
-                text += f"; dry {dry:.9f} ± {found[f'{name}_dry_error']:.0e}"
-            yield f"{name.capitalize()} speed", text
+            gap = self.session.value(name) - value
+            text = f"{value:.6f}, {abs(gap):.4f} {'below' if gap > 0 else 'above'} {sign}"
+            if (dry := found.get(f"{kind}_dry")) is not None:
+                text += f"; dry {dry:.9f} ± {found[f'{kind}_dry_error']:.0e}"
+            yield title, text
 
 
 def _ranges(masses: np.ndarray) -> str:

@@ -314,9 +314,10 @@ class Pictures:
         self.show_branch(None)
 
     def show_limits(self, found: dict[str, Any] | None) -> None:
-        """Draws Hopf speed and fold, if the axis is the belt speed."""
+        """Draws Hopf point and fold, if they are of the parameter of the axis."""
+        found = found or {}
         for name, (line, text) in self.limits.items():
-            value = (found or {}).get(name) if self.session.axis == "belt_speed" else None
+            value = found.get(name) if self.session.axis == found.get("parameter") else None
             line.visible = text.visible = value is not None
             if value is not None:
                 line.location = text.x = value
