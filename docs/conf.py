@@ -25,6 +25,7 @@ extensions = [
     "inventories",
     "names",
     "reference",
+    "sections",
 ]
 
 exclude_patterns = ["_build", "extensions", "inventories", "jupyter_execute"]
@@ -53,8 +54,7 @@ html_favicon = "static/favicon.svg"
 html_context = {"default_mode": "auto"}
 html_static_path = ["static"]
 html_css_files = ["jaxchain.css"]
-html_js_files = ["enlarge.js"]
-html_search_scorer = str(Path(__file__).parent / "static" / "scorer.js")
+html_js_files = ["enlarge.js", ("search.js", {"defer": "defer"})]
 # Pages without siblings have no sidebar.
 html_sidebars = {page: [] for page in ("index", "start", "faq", "why", "cite", "examples/README")}
 html_show_sourcelink = False

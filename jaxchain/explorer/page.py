@@ -27,7 +27,8 @@ FRAME, NUMBERS_EVERY, IN_FLIGHT = 36, 5, 3
 # Seconds after which changed parameters ask for new boundaries, for their error bars, and after
 # a search for them again.
 _QUIET, _BARS, _AGAIN = 1.0, 6.0, 15.0
-_LOST = 1.0  # seconds after which a picture counts as lost
+# Seconds after which a picture counts as lost, and after which a browser is slow.
+_LOST, _SLOW = 1.0, 0.1
 _SPEEDS = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 400]
 _ACKNOWLEDGE = "const now = cb_obj.tags; requestAnimationFrame(() => { ack.tags = now })"
 _SILENCE = "if (!on.active && window.squeal) { window.squeal.close(); window.squeal = null }"
@@ -57,7 +58,7 @@ class Page:
             self.said = str(error)
         self.pictures = Pictures(session, self.kick, stored)
         self.frame = self.seen = self.count = self.sent = 0
-        self.ready, self.limits, self.found = False, None, None
+        self.ready, self.limits, self.found, self.lag = False, None, None, 0.0
         self.asked: Any = (None, None, None)
         self.changed, self.gone, self.ticking = time.monotonic(), False, None
         self.cancelled, self.behind = threading.Event(), threading.Event()
@@ -77,13 +78,16 @@ class Page:
         session, n, make = self.session, self.session.n, pn.widgets
         small: Any = {"margin": (2, 4), "sizing_mode": "stretch_width"}
 
+        # Panel's events come without the lock of the document, which a tick may hold.
         def button(name: str, action: Callable[[], Any], kind: str = "default") -> Any:
             made = make.Button(name=name, button_type=kind, **small)
-            made.on_click(lambda event: self._doing(action))
+            made.on_click(lambda event: self._later(lambda: self._doing(action)))
             return made
 
         def watched(made: Any, action: Callable[[Any], Any]) -> Any:
-            made.param.watch(lambda event: self._doing(action, event.new), "value")
+            made.param.watch(
+                lambda event: self._later(lambda: self._doing(action, event.new)), "value"
+            )
             return made
 
         self.play = watched(
@@ -310,7 +314,7 @@ class Page:
         threading.Thread(target=work, daemon=True).start()
 
     def _later(self, action: Callable[[], Any]) -> None:
-        """Does it on the thread that serves, while the visitor is there."""
+        """Does it with the lock of the document, while the visitor is there."""
 
         def act() -> None:
             visitor = self.doc.session_context.session
@@ -359,28 +363,34 @@ class Page:
         self.cancelled.set()
 
     def _ask_for_limits(self) -> None:
-        """Asks for Hopf speed and fold once the parameters have been quiet for a while."""
+        """Asks for Hopf point and fold once the parameters have been quiet for a while."""
+        if self.session.axis is None:
+            return
         quiet = time.monotonic() - self.changed
         numbers = {s.name: self.session.value(s.name) for s in self.session.sliders}
-        numbers.pop("belt_speed", None)
+        over = "belt_speed" if "belt_speed" in numbers else self.session.axis
+        value, made = numbers.pop(over), self.sliders[over][0]
+        bounds = min(made.start, value), max(made.end, value)
         asked, bars, busy = self.asked
-        new = asked != numbers
+        new = asked != (over, numbers)
         if busy or quiet < (_QUIET if new else _BARS) or (bars and not new):
             return
         bars = not new
-        self.asked = numbers, bars, True
+        self.asked = (over, numbers), bars, True
 
         def ended(answer: Any, problem: Exception | None) -> None:
             self.asked = (*self.asked[:2], False)
-            if isinstance(problem, ValueError):  # not for this kind of model
-                self.asked = numbers, True, False
+            if isinstance(problem, ValueError) or (answer and answer["note"]):  # no bars
+                self.asked = (over, numbers), True, False
+            if isinstance(problem, ValueError):
+                answer = {"parameter": over, "note": str(problem)}
             if isinstance(problem, searches.CancelledError):  # for a search: again later
                 self.asked, self.changed = (None, None, False), time.monotonic() + _AGAIN
                 return
             self.limits = answer if new else {**(self.limits or {}), **(answer or {})}
             self.pictures.show_limits(self.limits)
 
-        task = searches.boundaries, self.session.model, bars
+        task = searches.boundaries, self.session.model, bars, over, bounds
         self.behind = threading.Event()
         self._in_thread(ended, *task, background=True, cancelled=self.behind)
 
@@ -388,6 +398,8 @@ class Page:
     def _acknowledged(self, name: str, old: Any, new: list[int]) -> None:
         del name, old
         self.seen = max(self.seen, int(new[0]))
+        if self.seen == self.frame:
+            self.lag += 0.3 * (time.monotonic() - self.sent - self.lag)
 
     def warm(self) -> None:
         """Loads or compiles the program of a frame, off the thread that serves."""
@@ -427,8 +439,9 @@ class Page:
     def draw(self, counted: bool) -> None:
         """Sends the present state to the browser, unless it has not drawn the last ones yet."""
         now = time.monotonic()
-        behind = self.frame - self.seen >= IN_FLIGHT and now - self.sent < _LOST
-        if not self.ready or behind:
+        # A browser that is slow gets one picture at a time: those that wait would delay a slider.
+        most = IN_FLIGHT if self.lag < _SLOW else 1
+        if not self.ready or (self.frame - self.seen >= most and now - self.sent < _LOST):
             return
         self.frame, self.sent = self.frame + 1, now
         if counted:
@@ -481,18 +494,20 @@ class Page:
         return f"<dl>{''.join(f'<div><dt>{a}</dt><dd>{b}</dd></div>' for a, b in each)}</dl>"
 
     def _distances(self) -> Any:
-        """How far the belt speed is from Hopf speed and fold."""
+        """How far the parameter is from its Hopf point and fold; what is not known says why."""
         found = self.limits or {}
-        for name in ("hopf", "fold"):
-            value = found.get(name)
-            if value is None:
-                yield f"{name.capitalize()} speed", "none"
+        name, note = found["parameter"], found["note"]
+        sign = "v_d" if name == "belt_speed" else name
+        for kind in ("hopf", "fold"):
+            title = f"{kind.capitalize()}, {sign}"
+            if (value := found.get(kind)) is None:
+                yield title, "none" if kind in found or not note else f"not searched: {note}"
                 continue
-            gap = self.session.run.belt_speed - value
-            text = f"{value:.6f}, {abs(gap):.4f} {'below' if gap > 0 else 'above'} v_d"
-            if (dry := found.get(f"{name}_dry")) is not None:
-                text += f"; dry {dry:.9f} ± {found[f'{name}_dry_error']:.0e}"
-            yield f"{name.capitalize()} speed", text
+            gap = self.session.value(name) - value
+            text = f"{value:.6f}, {abs(gap):.4f} {'below' if gap > 0 else 'above'} {sign}"
+            if (dry := found.get(f"{kind}_dry")) is not None:
+                text += f"; dry {dry:.9f} ± {found[f'{kind}_dry_error']:.0e}"
+            yield title, text
 
 
 def _ranges(masses: np.ndarray) -> str:

@@ -33,7 +33,8 @@ from .session import WINDOW, Numbers, Session
 
 # Time units of the space-time picture, its columns, and the colours without the lightest ones.
 _LONG, _COLUMNS, _SHADES = 60.0, 240, Viridis256[:236]
-_SCROLLS = 3  # frames between two of its pictures
+_SCROLLS, _ORBITS = 4, 2  # frames between two of its pictures, and between two phase portraits
+_HALF = 0.2  # half the width of a mass
 _SPRING = 0.1 * np.array([0, 0, 1, -1, 1, -1, 1, -1, 0, 0])
 _ALONG = np.array([0.0, 0.15, 0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.85, 1.0])
 # Of a mass that sticks: x and y of three strokes from its lower left to its upper right.
@@ -114,18 +115,11 @@ class Pictures:
         page.yaxis.visible = False
         page.xaxis.ticker = FixedTicker(ticks=list(range(1, n + 1, max(1, n // 20))))
         page.grid.visible = False
-        self.lines, self.marks = _source("x", "y"), _source("x", "y")
+        self.lines, self.blocks = _source("x", "y"), _source("x", "y", "color")
         self.belt = page.quad(
             left=0.3, right=n + 0.7, bottom=[-0.45], top=[0.0], color="#eeeeee", line_color="black"
         )
-        page.line("x", "y", source=self.marks, color=GREY)
-        self.blocks = []
-        for colour in (BLUE, ORANGE):
-            self.blocks.append(_source("left", "right", "bottom", "top"))
-            page.quad(
-                "left", "right", "top", "bottom", source=self.blocks[-1], color=colour,
-                line_color="black",
-            )  # fmt: skip
+        page.rect("x", "y", 2 * _HALF, 1.0, source=self.blocks, color="color", line_color="black")
         page.line("x", "y", source=self.lines, color="black", line_width=0.8)
         self.belt.visible = session.model.frictional
         page.on_event("tap", lambda event: kick(int(np.clip(round(event.x), 1, n)) - 1))
@@ -133,32 +127,28 @@ class Pictures:
 
     def _move_chain(self) -> None:
         runs, n = self.session.runs, self.session.n
-        scale, half, home = 0.3 / self.reach[0], 0.2, np.arange(1, n + 1)
-        left, lines, marks, rows = [], [], [], []
+        scale, home = 0.3 / self.reach[0], np.arange(1, n + 1)
+        lines, places = [], []
         coupled = getattr(self.session.model, "coupling", "") is not None
         for k, run in enumerate(runs):
             middle = home + scale * run.last[run.component]
-            left.append(middle - half)
-            rows.append(np.full(n, -_ROW * k))
-            ends = middle[:-1] + half, middle[1:] - half
+            places.append((middle, np.full(n, 0.5 - _ROW * k)))
+            ends = middle[:-1] + _HALF, middle[1:] - _HALF
             zigzag = ends[0][:, None] + (ends[1] - ends[0])[:, None] * _ALONG
             lines.append(_broken(zigzag[: n * coupled], 0.5 + _SPRING - _ROW * k))
             # Strokes through a mass that sticks, besides its colour.
-            strokes = (middle[run.sticks] - half)[:, None, None] + 2 * half * _STROKES[0]
+            strokes = (middle[run.sticks] - _HALF)[:, None, None] + 2 * _HALF * _STROKES[0]
             lines.append(
                 _broken(strokes.reshape(-1, 2), np.tile(_STROKES[1], (len(strokes), 1)) - _ROW * k)
             )
             if run.model.frictional:
                 start = 0.3 + (scale * run.way) % 0.5 + 0.5 * np.arange(int(2 * (n + 0.4)))
-                marks.append(
+                lines.append(
                     _broken(start[:, None] + [0.0, 0.12], np.array([-0.45, 0.0]) - _ROW * k)
                 )
         sticks = np.concatenate([run.sticks for run in runs])
-        row, x = np.concatenate(rows), np.concatenate(left)
-        for blocks, which in zip(self.blocks, (~sticks, sticks), strict=True):
-            low, at = row[which], x[which]
-            blocks.data = {"left": at, "right": at + 2 * half, "bottom": low, "top": low + 1.0}
-        self.lines.data, self.marks.data = _joined(lines), _joined(marks)
+        self.blocks.data = _joined(places) | {"color": np.where(sticks, ORANGE, BLUE).tolist()}
+        self.lines.data = _joined(lines)
 
     # Space and time ------------------------------------------------------------------------------
     def _space_time(self) -> Any:
@@ -198,15 +188,14 @@ class Pictures:
     def _phase(self) -> Any:
         page = _figure("Phase portrait", 235, *self.names, x_range=Range1d(start=-1, end=1))
         page.y_range = Range1d(start=-1, end=1)
-        self.orbits, self.points = [], []
-        for look, marker in zip(_RUNS, ("circle", "square"), strict=True):
-            self.orbits.append(_source("x", "y"))
-            page.line("x", "y", source=self.orbits[-1], line_width=1.3, **look)
-            self.points.append(_source("x", "y", "color"))
-            page.scatter(
-                "x", "y", source=self.points[-1], color="color", size=9, marker=marker,
-                line_color="black",
-            )  # fmt: skip
+        self.orbits = [_source("x", "y") for _ in _RUNS]
+        for orbit, look in zip(self.orbits, _RUNS, strict=True):
+            page.line("x", "y", source=orbit, line_width=1.3, **look)
+        self.points = _source("x", "y", "color", "marker")
+        page.scatter(
+            "x", "y", source=self.points, color="color", size=9, marker="marker",
+            line_color="black",
+        )  # fmt: skip
         self.belt_line = Span(dimension="width", location=0, line_dash="dashed", line_width=1)
         self.belt_label = Label(
             x=4, y=0, x_units="screen", text="belt", text_font_size="11px", y_offset=1
@@ -217,18 +206,25 @@ class Pictures:
         return page
 
     def _move_phase(self) -> None:
-        mass, run = self.session.mass, self.session.run
-        for k, (orbit, point) in enumerate(zip(self.orbits, self.points, strict=True)):
-            if k >= len(self.session.runs):
+        mass, runs, points = self.session.mass, self.session.runs, []
+        for k, orbit in enumerate(self.orbits):
+            if k >= len(runs):
                 if len(orbit.data["x"]):
-                    orbit.data, point.data = {"x": [], "y": []}, {"x": [], "y": [], "color": []}
+                    orbit.data = {"x": [], "y": []}
                 continue
-            shown = self.session.runs[k]
-            _, parts = shown.window(WINDOW)
-            orbit.data = {"x": parts[0, :, mass].copy(), "y": parts[1, :, mass].copy()}
-            x, y = parts[:2, -1, mass] if parts.shape[1] else (np.nan, np.nan)
-            colour = ORANGE if shown.sticks[mass] else _RUNS[k]["color"]
-            point.data = {"x": [x], "y": [y], "color": [colour]}
+            _, parts = runs[k].window(WINDOW)
+            x, y = parts[:2, :, mass].astype(np.float32)
+            orbit.data = {"x": x, "y": y}
+            colour = ORANGE if runs[k].sticks[mass] else _RUNS[k]["color"]
+            last = (float(x[-1]), float(y[-1])) if len(x) else (np.nan, np.nan)
+            points.append((*last, colour, ("circle", "square")[k]))
+        columns = zip(*points, strict=True)
+        self.points.data = dict(zip(self.points.column_names, map(list, columns), strict=True))
+        self.show_belt()
+
+    def show_belt(self) -> None:
+        """The line of the belt in the phase portrait."""
+        run = self.session.run
         if self.session.model.frictional and self.belt_line.location != run.belt_speed:
             self.belt_line.location = self.belt_label.y = run.belt_speed
 
@@ -318,9 +314,10 @@ class Pictures:
         self.show_branch(None)
 
     def show_limits(self, found: dict[str, Any] | None) -> None:
-        """Draws Hopf speed and fold, if the axis is the belt speed."""
+        """Draws Hopf point and fold, if they are of the parameter of the axis."""
+        found = found or {}
         for name, (line, text) in self.limits.items():
-            value = (found or {}).get(name) if self.session.axis == "belt_speed" else None
+            value = found.get(name) if self.session.axis == found.get("parameter") else None
             line.visible = text.visible = value is not None
             if value is not None:
                 line.location = text.x = value
@@ -381,8 +378,10 @@ class Pictures:
         """Shows the present state, as this frame, in the pictures that move with every one."""
         self._rescale()
         self._move_chain()
-        self._move_phase()
-        if frame % _SCROLLS == 0:
+        self.show_belt()
+        if frame % _ORBITS == 0:
+            self._move_phase()
+        if frame % _SCROLLS == 1:
             self._move_space_time()
         self.chain.tags = [frame]
 
@@ -400,4 +399,4 @@ def _broken(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _joined(lines: list[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:
     x, y = zip(*lines, strict=True) if lines else ([np.zeros(0)], [np.zeros(0)])
-    return {"x": np.concatenate(x), "y": np.concatenate(y)}
+    return {"x": np.concatenate(x, dtype=np.float32), "y": np.concatenate(y, dtype=np.float32)}

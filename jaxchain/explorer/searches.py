@@ -20,16 +20,32 @@ import numpy as np
 from .._configure import configure
 
 
-def boundaries(model: Any, bars: bool, report: Callable[[str], Any]) -> dict[str, Any]:
-    """Hopf speed and fold, with `bars` also for dry friction; None if there is none."""
+def boundaries(
+    model: Any, bars: bool, parameter: str, bounds: Any, report: Callable[[str], Any]
+) -> dict[str, Any]:
+    """Hopf and fold over a parameter, None where there is none; `note`: why no fold is searched.
+
+    Of a chain, over its belt speed, with `bars` also for dry friction.  Of every other model the
+    Hopf point in `parameter` that is nearest to its present value, within `bounds`.
+
+    **Raises:** `ValueError` for an equilibrium that cannot be followed.
+    """
+    from ..boundaries.equilibria import find_hopf_point
     from ..boundaries.ranges import stability_range
+    from ..model.arguments import as_chain
 
     del report
-    found = stability_range(model, error_bars=bars)
-    names = ["hopf", "fold"]
-    names += ["hopf_dry", "hopf_dry_error", "fold_dry", "fold_dry_error"] if bars else []
-    numbers = {name: float(np.asarray(getattr(found, name))) for name in names}
-    return {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+    names, note = ["hopf", "fold"], ""
+    try:
+        found: Any = stability_range(as_chain(model), error_bars=bars)
+        names += ["hopf_dry", "hopf_dry_error", "fold_dry", "fold_dry_error"] if bars else []
+        numbers = {name: float(np.asarray(getattr(found, name))) for name in names}
+    except ValueError as error:
+        found = find_hopf_point(model, parameter, bounds=bounds, throw=False)
+        numbers = {"hopf": float(found.value) if found.successful else np.nan}
+        note = str(error)
+    known = {name: value if np.isfinite(value) else None for name, value in numbers.items()}
+    return {**known, "parameter": parameter, "note": note}
 
 
 def cycle(model: Any, state: Any, t: float, mass: int, report: Callable[[str], Any]) -> Any:

@@ -73,6 +73,7 @@ class Run:
 
     def __init__(self, model: AbstractModel, state: Any, t: float = 0.0) -> None:
         self.model, self.failure = model, ""
+        self._contacts: Any = None
         self.component = next(
             (k for k in range(len(state)) if model.velocity_of(k) == model.contact), 0
         )
@@ -123,8 +124,14 @@ class Run:
     @property
     def belt_speed(self) -> float:
         """v_d at present, of the first contact; 0 without one."""
-        speeds = [contact.speed_at(self.t) for contact in self.model.frictional_contacts]
-        return float(np.ravel(speeds[0])[0]) if speeds else 0.0
+        if self._contacts is None or self._contacts[0] is not self.model:
+            self._contacts = self.model, self.model.frictional_contacts, None
+        model, contacts, speed = self._contacts
+        if speed is None:  # contacts are made anew, which takes a millisecond
+            speed = float(np.ravel(contacts[0].speed_at(self.t))[0]) if contacts else 0.0
+            if not (contacts and contacts[0].moving):
+                self._contacts = model, contacts, speed
+        return speed
 
     def window(self, length: float) -> tuple[np.ndarray, np.ndarray]:
         """(times, y, y' and the state) of the last `length` time units."""

@@ -5,10 +5,12 @@ import threading
 import numpy as np
 import pytest
 
-from jaxchain import equation_8, find_limit_cycle, stability_range
+from jaxchain import ExponentialDecay, equation_8, find_limit_cycle, stability_range
 from jaxchain.explorer import Session
 from jaxchain.explorer.searches import CancelledError, Searcher, boundaries, branch, cycle
-from jaxchain.model.ready_made import VanDerPol
+from jaxchain.model import MechanicalCells, VanDerPol
+
+SPEEDS = "belt_speed", (0.0, 3.0)
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +35,19 @@ def test_the_process_finds_what_the_library_finds(searcher, chains):
     speeds, energies, unstable = line["columns"]
     assert len(speeds) == len(energies) == len(unstable)
     assert 0 < unstable.sum() < len(unstable)
-    limits = searcher.run(boundaries, chain, False)
+    limits = searcher.run(boundaries, chain, False, *SPEEDS)
     assert limits["fold"] == pytest.approx(float(stability_range(chain).fold), abs=1e-8)
     folds = [value for kind, value in line["special"] if kind == "fold"]
     assert np.min(np.abs(np.subtract(folds, limits["fold"]))) < 1e-6
 
 
-def test_what_is_no_chain_is_refused_in_the_librarys_words(searcher):
-    with pytest.raises(ValueError, match="must be a `Chain`, but is a VanDerPol"):
-        searcher.run(boundaries, VanDerPol(1.0), False)
+def test_the_hopf_point_of_every_model_is_found_and_what_has_no_fold_says_why(searcher):
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    mass = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=1.5)
+    found = searcher.run(boundaries, mass, False, *SPEEDS)
+    assert found["hopf"] == pytest.approx(0.5 * np.log(10.0), abs=1e-9)
+    assert "must be a `Chain`, but is a MechanicalCells" in found["note"]
+    assert searcher.run(boundaries, mass, False, "belt_speed", (1.3, 3.0))["hopf"] is None
 
 
 def test_a_search_is_cancelled_and_the_next_one_runs(searcher, chains):
@@ -49,17 +55,17 @@ def test_a_search_is_cancelled_and_the_next_one_runs(searcher, chains):
     threading.Timer(0.3, cancelled.set).start()
     chain = chains[3, 1e-2]
     with pytest.raises(CancelledError):
-        searcher.run(boundaries, chain, True, cancelled=cancelled)
-    with pytest.raises(ValueError, match="VanDerPol"):
-        searcher.run(boundaries, VanDerPol(1.0), False)
+        searcher.run(boundaries, chain, True, *SPEEDS, cancelled=cancelled)
+    with pytest.raises(ValueError, match="belt_speed"):
+        searcher.run(boundaries, VanDerPol(1.0), False, *SPEEDS)
 
 
 def test_a_model_that_no_other_process_can_import_is_searched_here(searcher):
     class Own:
         pass
 
-    with pytest.raises(ValueError, match="`chain` must be a `Chain`"):
-        searcher.run(boundaries, Own(), False)
+    with pytest.raises(ValueError, match="Own"):
+        searcher.run(boundaries, Own(), False, *SPEEDS)
 
 
 @pytest.mark.parametrize("after", [0.0, 0.3])
@@ -67,7 +73,7 @@ def test_what_is_stopped_ends_the_search_that_runs_and_starts_no_other(chains, a
     stopped = Searcher()
     threading.Timer(after, stopped.stop).start()
     with pytest.raises(CancelledError):
-        stopped.run(boundaries, chains[3, 1e-2], True)
+        stopped.run(boundaries, chains[3, 1e-2], True, *SPEEDS)
     stopped.stop()
     with pytest.raises(CancelledError):
-        stopped.run(boundaries, chains[3, 1e-2], True)
+        stopped.run(boundaries, chains[3, 1e-2], True, *SPEEDS)

@@ -1,0 +1,58 @@
+// The search by sections, ranked by the table that `docs/extensions/sections.py` has written.
+const split = (text) => text.toLowerCase().split(/[^a-z0-9]+/).filter((word) => word);
+const stems = (text) => {
+  const stemmer = new Stemmer();
+  const kept = split(text).filter((word) => word === "own" || !stopwords.has(word));
+  return [...new Set(kept.map((word) => stemmer.stemWord(word)))];
+};
+// [section, worth, section, worth, ...]; of a word that is being typed, those that begin like it.
+const found = (stem) => sections.terms[stem]
+  ?? Object.keys(sections.terms).filter((known) => stem.length > 2 && known.startsWith(stem))
+    .flatMap((known) => sections.terms[known]);
+
+// A title that the words fill comes first, then functions with all of them in their names.
+const factor = ([page, , title, module], asked) => {
+  const own = stems(module ? title.replace(/([a-z])([A-Z])/g, "$1 $2") : title);
+  if (!asked.every((stem) => own.includes(stem))) return 1;
+  if (module) return /^[a-z0-9_]+$/.test(title) ? 3 : 1;
+  return asked.length >= own.length / 2 && !page.startsWith("reference") ? 4 : 1;
+};
+
+Search._performSearch = (query, terms, excluded) => {
+  document.getElementById("search-progress")?.replaceChildren();
+  const asked = stems(query.replace(/(^|\s)-\S+/g, " "));
+  const scores = new Map();
+  for (const stem of asked) {
+    const best = new Map();
+    const list = found(stem);
+    for (let k = 0; k < list.length; k += 2) {
+      best.set(list[k], Math.max(list[k + 1], best.get(list[k]) ?? 0));
+    }
+    for (const [k, worth] of best) scores.set(k, worth + (scores.get(k) ?? 0));
+  }
+  for (const stem of excluded) {
+    const list = found(stem);
+    for (let k = 0; k < list.length; k += 2) scores.delete(list[k]);
+  }
+  const {docnames, titles, filenames} = Search._index;
+  return [...scores].map(([k, score]) => {
+    const [page, id, title, module] = sections.places[k];
+    const file = docnames.indexOf(page);
+    const inside = id ? `${titles[file]} > ${title}` : titles[file];
+    return [
+      page, module ? `${module}.${title}` : inside, id ? `#${id}` : "",
+      module ? "Python name" : null, score * factor(sections.places[k], asked), filenames[file],
+      module ? "object" : id ? "title" : "text",
+    ];
+  }).sort((a, b) => a[4] - b[4]).slice(-60);
+};
+
+// The table comes with the first search.
+const perform = Search.performSearch;
+Search.performSearch = (query) => {
+  if (typeof sections !== "undefined") return perform(query);
+  const script = document.createElement("script");
+  script.src = `${document.documentElement.dataset.content_root}_static/sections.js`;
+  script.onload = () => perform(query);
+  document.head.append(script);
+};
