@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -35,19 +35,16 @@ class AbstractStatesAtEvents(AbstractObserver):
 
     # The name of the times in a dataset, and of their dimension.
     names = ("event", "event")
-    if TYPE_CHECKING:  # fields of subclasses, whose arguments have an order of their own
-        oscillator: Any
-        capacity: Any
-        start: Any
 
-    def __check_init__(self) -> None:
+    # `oscillator`, `capacity` and `start` are fields of subclasses, in an order of their own.
+    def __check_init__(self: Any) -> None:
         check_whole("capacity", self.capacity)
         if self.start is not None:
             check_number("start", self.start, "nothing is kept before this time; None: all.")
         if not isinstance(self.oscillator, Array):
             check_whole("oscillator", self.oscillator, 0, remedy="it is the index of a cell.")
 
-    def empty(self, y0: State) -> tuple[Array, ...]:
+    def empty(self: Any, y0: State) -> tuple[Array, ...]:
         """(times, variables, count) without an event."""
         n = y0[0].shape[0]
         if not isinstance(self.oscillator, Array):
@@ -55,16 +52,16 @@ class AbstractStatesAtEvents(AbstractObserver):
         blank = jnp.full((self.capacity, n), jnp.nan)
         return blank[:, 0], *(blank for _ in y0), jnp.zeros((), int)
 
-    def fits(self, t0: ScalarLike, t1: ScalarLike) -> Any:
+    def fits(self: Any, t0: ScalarLike, t1: ScalarLike) -> Any:
         del t0
         return self.start is None or self.start <= t1
 
-    def late(self, time: Array) -> Any:
+    def late(self: Any, time: Array) -> Any:
         """Whether an event at this time is kept."""
         return True if self.start is None else time >= self.start
 
     def kept(
-        self, rows: tuple[Array, ...], step: Step, theta: Array, here: Array
+        self: Any, rows: tuple[Array, ...], step: Step, theta: Array, here: Array
     ) -> tuple[Array, ...]:
         """The rows with the state at theta, if it is `here`; `count` as before."""
         times, *states, count = rows
@@ -75,11 +72,11 @@ class AbstractStatesAtEvents(AbstractObserver):
         new = (jnp.where(here[:, None], part[None], old) for part, old in pairs)
         return jnp.where(here, step.time(theta), times), *new, count
 
-    def finite(self, accumulator: Any) -> Bool[Array, ""]:
+    def finite(self: Any, accumulator: Any) -> Bool[Array, ""]:
         *rows, count = accumulator
         return all_finite(rows, jnp.arange(self.capacity) < count)
 
-    def read(self, accumulator: Any) -> tuple[Array, ...]:
+    def read(self: Any, accumulator: Any) -> tuple[Array, ...]:
         times, *states, count = accumulator
         exists: Bool[Array, " capacity"] | Any = jnp.arange(self.capacity) < count
         kept = (jnp.where(exists[:, None], part, jnp.nan) for part in states)

@@ -73,6 +73,6 @@ def test_a_slip_cycle_that_grazes_solves_the_equations(dry_fold):
 def test_the_turning_point_of_a_polynomial_of_degree_5_is_its_extreme():
     h, polynomial = 0.7, np.polynomial.Polynomial([0.3, 1.0, -0.4, -1.1, 0.6, -0.5])
     ends = [polynomial.deriv(k)(t) if k else polynomial(t) for t in (0.0, h) for k in range(3)]
-    found = turning_point(*(jnp.asarray([end]) for end in ends), jnp.asarray(h))
+    found = turning_point(*(jnp.asarray([part]) for part in (*ends, h)))
     (turn,) = (r.real for r in polynomial.deriv().roots() if abs(r.imag) < 1e-9 and 0 < r.real < h)
     assert float(found[0]) == pytest.approx(polynomial(turn), abs=1e-12)
