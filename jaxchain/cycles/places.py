@@ -83,6 +83,7 @@ def places_of_a_cell(model: Any) -> int:
 
 
 def stops_of(model: Any, n: int) -> int:
+    """The number of places of stops of n cells."""
     return n * len(model.stops)
 
 

@@ -95,6 +95,7 @@ def draw_belt(
 def arrow(
     start: Any, end: Any, color: str, width: float = 1.0, both: bool = False
 ) -> FancyArrowPatch:
+    """An arrow between two points, with a head at `end`, or at both."""
     return FancyArrowPatch(
         start, end, arrowstyle="<|-|>" if both else "-|>", mutation_scale=7, color=color,
         linewidth=width, shrinkA=0, shrinkB=0, zorder=5,
@@ -105,4 +106,5 @@ def name_at(
     axes: Axes, x: float, y: float, text: str, *, ha: str = "center", va: str = "bottom",
     color: str = "black", size: float = 8.5,
 ) -> None:  # fmt: skip
+    """Writes a symbol at a point."""
     axes.text(x, y, text, ha=ha, va=va, color=color, fontsize=size, zorder=6)

@@ -532,6 +532,7 @@ class EventDriven(eqx.Module):
 
 
 def as_dry(field: AbstractModel) -> Dry:
+    """The model with dry friction, or `ValueError` for one without events."""
     if not field.frictional:
         raise ValueError(
             "The event-driven solver needs a `Chain`, or `MechanicalCells` with friction or stops,"

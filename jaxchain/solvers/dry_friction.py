@@ -291,6 +291,7 @@ class Modes(eqx.Module):
 
 
 def bounced_of(modes: Modes) -> Any:
+    """The power of time with which each stop is left; none without stops."""
     return jnp.zeros(0, int) if modes.bounced is None else modes.bounced
 
 
