@@ -10,12 +10,17 @@ const found = (stem) => sections.terms[stem]
   ?? Object.keys(sections.terms).filter((known) => stem.length > 2 && known.startsWith(stem))
     .flatMap((known) => sections.terms[known]);
 
-// A title that the words fill comes first, then functions with all of them in their names.
-const factor = ([page, , title, module], asked) => {
+// Questions that the words fill come first, then functions with all of them in their names, the
+// shortest before; elsewhere a title that they fill counts more.
+const FIRST = 1e6;
+const ranked = ([page, , title, module], asked, score) => {
   const own = stems(module ? title.replace(/([a-z])([A-Z])/g, "$1 $2") : title);
-  if (!asked.every((stem) => own.includes(stem))) return 1;
-  if (module) return /^[a-z0-9_]+$/.test(title) ? 3 : 1;
-  return asked.length >= own.length / 2 && !page.startsWith("reference") ? 4 : 1;
+  const filled = asked.every((stem) => own.includes(stem)) && asked.length >= own.length / 2;
+  if (filled && page === "faq") return 2 * FIRST + score;
+  if (module && /^[a-z0-9_]+$/.test(title) && asked.every((stem) => own.includes(stem))) {
+    return FIRST + FIRST / title.length;
+  }
+  return filled && !page.startsWith("reference") ? 4 * score : score;
 };
 
 Search._performSearch = (query, terms, excluded) => {
@@ -41,7 +46,7 @@ Search._performSearch = (query, terms, excluded) => {
     const inside = id ? `${titles[file]} > ${title}` : titles[file];
     return [
       page, module ? `${module}.${title}` : inside, id ? `#${id}` : "",
-      module ? "Python name" : null, score * factor(sections.places[k], asked), filenames[file],
+      module ? "Python name" : null, ranked(sections.places[k], asked, score), filenames[file],
       module ? "object" : id ? "title" : "text",
     ];
   }).sort((a, b) => a[4] - b[4]).slice(-60);
