@@ -23,7 +23,7 @@ from ..solvers.dry_friction import (
     thrown,
 )
 
-# Those at odd indices are touches, which may be those of a special cycle only.
+# Touches are at odd indices; only special cycles have them.
 EVENTS = ("landing", "peak", "release", "turn", "at once")
 # A margin of rounding.
 MET = 1e-9
@@ -38,10 +38,14 @@ def belts(model: Any, n: int) -> Array:
 
 
 def scales(model: Any, n: int) -> Array:
-    """1 + |v_d| of contacts, 1 + |gap| of stops."""
-    gaps = [jnp.broadcast_to(stop.gap, (n,)) for stop in model.stops]
-    none = jnp.zeros(places_of_a_cell(model) * n - len(gaps) * n)
-    return 1.0 + jnp.abs(belts(model, n)) + jnp.abs(jnp.concatenate([none, *gaps]))
+    """What w of contacts and the gaps of stops are measured by, in the units of the model.
+
+    V + |v_d| and T V + |gap|, with the times and velocities T and V of `natural_scales`.
+    """
+    time, unit, _ = model.natural_scales()
+    contacts = jnp.full(n * len(model.frictional_contacts), unit)
+    own = [time * unit + jnp.abs(jnp.broadcast_to(stop.gap, (n,))) for stop in model.stops]
+    return jnp.concatenate([contacts, *own]) + jnp.abs(belts(model, n))
 
 
 def limits(model: Any, n: int) -> Array:

@@ -29,8 +29,8 @@ _TOUCHES = {
 }
 # Samples of a period, from which touches are read.
 _SAMPLES = 4000
-# What is a jump of a velocity, and how close to an event a place is that has one; the share of the
-# period below which a step is rounding.
+# What is a jump of a velocity, in its natural unit; how close to an event a place is that has one;
+# the share of the period below which a step is rounding.
 _JUMPS, _AT_EVENT, _ROUNDING = 1e-7, 1e-5, 1e-8
 
 
@@ -62,7 +62,7 @@ def slip_phases(
 
 
 class _Event(NamedTuple):
-    """An event at a time: `sign` is that of r; of its phase the `modes`, and the `state` there.
+    """An event: its time, the `sign` of r, and the `modes` and the `state` after it.
 
     `alone`: whether it is the first at its time.
     """
@@ -106,6 +106,7 @@ class _Seen:
     def __init__(self, model: Dry, state: State, period: Any):
         self.model, self.state, self.period = model, state, float(period)
         self.n = state[0].shape[0]
+        self.unit = float(model.natural_scales()[1])
         parts = limits(model, self.n), scales(model, self.n)
         self.limit, self.scale = (np.asarray(part) for part in parts)
 
@@ -139,7 +140,7 @@ class _Seen:
         hits = np.zeros_like(modes, bool)
         for k, stop in enumerate(self.model.stops):
             first = modes.shape[1] + (k - len(self.model.stops)) * self.n
-            hits[:, first : first + self.n] = along(stop.direction, jumps) > _JUMPS
+            hits[:, first : first + self.n] = along(stop.direction, jumps) > _JUMPS * self.unit
         changes = (modes != later) | hits
         w, _, near = self.places(times[:, 1], ends, modes)
         # Of a contact that lands, r is the force that would hold it.
@@ -193,7 +194,7 @@ def phases_of(
         mode[event.place] = event.modes[event.place]
 
     def is_alike(event: _Event, one: _Event) -> bool:
-        """Whether the mass of one event moves like that of the other, or opposite to it."""
+        """Whether the masses of two events move alike, or opposite to each other."""
         shifts = [round(e.time / seen.period * _SAMPLES) for e in (event, one)]
         pairs = zip((event, one), shifts, strict=True)
         a, b = (np.roll(w[:, e.place], -shift) for e, shift in pairs)

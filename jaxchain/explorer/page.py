@@ -387,7 +387,7 @@ class Page:
             if isinstance(problem, searches.CancelledError):  # for a search: again later
                 self.asked, self.changed = (None, None, False), time.monotonic() + _AGAIN
                 return
-            self.limits = answer if new else {**(self.limits or {}), **(answer or {})}
+            self.limits = answer if new else {**(self.limits or {}), **(answer or {})} or None
             self.pictures.show_limits(self.limits)
 
         task = searches.boundaries, self.session.model, bars, over, bounds
