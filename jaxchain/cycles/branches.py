@@ -375,8 +375,9 @@ def continue_cycle(
     the state after one event and the duration of each phase.  Where the sequence changes, the
     branch goes on with the next one, and has a special point, see `CyclePoint`.  Multipliers
     contain the jumps at events; those that sticking erases are exactly 0.  Of cells with several
-    contacts or with stops the branch ends where an event comes, goes or stops to change others;
-    in which order two happen may change.
+    contacts or with stops the branch ends where an event comes or goes in a way that changes
+    others.  Steps and tolerances are not scaled: give cells whose displacements and velocities are
+    about 1, or points may be wrong.
 
     **Arguments:**
 
