@@ -158,9 +158,15 @@ def _interruptible() -> Iterator[None]:
         came.append(number)
         usual[number](number, frame)
 
+    def interrupt() -> None:
+        if hasattr(signal, "pthread_kill"):  # also ends what waits
+            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        else:
+            _thread.interrupt_main()
+
     def again(unraisable: Any) -> None:
         if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            threading.Timer(0.01, _thread.interrupt_main).start()  # after the callback
+            threading.Timer(0.01, interrupt).start()  # after the callback
         else:
             reported(unraisable)
 

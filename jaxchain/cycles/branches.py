@@ -52,7 +52,7 @@ from ..result import Printed
 from ..simulation.method import fit_linear_solve
 from ..solvers.rosenbrock import Rodas5P
 from .floquet import LimitCycle, as_orbit, check_orbit, forcing_periods_of
-from .orbit import AbstractOrbit, Start, linearise, residual
+from .orbit import AbstractOrbit, Start, linearise, residual, units_of
 from .phases import Phases
 from .sequences import change_at, sequence_of
 from .shooting import RTOL, Shooting
@@ -376,8 +376,7 @@ def continue_cycle(
     branch goes on with the next one, and has a special point, see `CyclePoint`.  Multipliers
     contain the jumps at events; those that sticking erases are exactly 0.  Of cells with several
     contacts or with stops the branch ends where an event comes or goes in a way that changes
-    others.  Steps and tolerances are not scaled: give cells whose displacements and velocities are
-    about 1, or points may be wrong.
+    others.
 
     **Arguments:**
 
@@ -468,8 +467,9 @@ def continue_cycle(
     images, shift = as_symmetry(images, field, state, mass)
     forcing_periods = forcing_periods_of(field, period)
     shooting = Shooting(
-        field, rtol, solver, mass, images, parameter, len(state), forcing_periods, shift
-    )
+        field, rtol, solver, mass, images, parameter, len(state), forcing_periods, shift,
+        units_of(field, state),
+    )  # fmt: skip
     u = np.asarray(shooting.pack(state, period, p))
     heading = direction
     if isinstance(direction, str):

@@ -39,6 +39,7 @@ from ..simulation.run import simulate
 from .averaging import one_mass
 from .floquet import LimitCycle, cycle_solver
 from .limit_cycle import find_limit_cycle, guess_from_point, solve_cycle, watched
+from .orbit import units_of
 from .shooting import Shooting
 from .symmetry import ring_motions
 
@@ -265,7 +266,8 @@ def find_limit_cycles(
         forcing_periods = int(every[0])
     solver = cycle_solver(model, rtol, one)
     images = as_images(None, n, mass)
-    shooting = Shooting(model, rtol, solver, mass, images, None, m, forcing_periods)
+    shape = None, m, forcing_periods, None, units_of(model, one)
+    shooting = Shooting(model, rtol, solver, mass, images, *shape)
     if forcing_periods is None:
         states = _on_the_section(shooting, states, jnp.asarray(periods))
     motions = ring_motions(model, one)

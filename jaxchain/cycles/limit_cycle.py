@@ -77,13 +77,14 @@ from .floquet import (
     multiplier_resolution,
     orbit_multipliers,
 )
-from .orbit import linearise, residual
+from .orbit import linearise, residual, units_of
 from .shooting import Shooting, greatest_gap, newton_minimal_period
 from .symmetry import CycleSymmetry, as_symmetry
-from .variational import Period, Returned, Returns
+from .variational import Period, Returned, Returns, distance
 
 Guess = tuple[State, Array]
-_TRANSIENT = 200.0  # the transient of a simulation
+# The transient of a simulation, and the time after it, in the model's unit of time.
+_TRANSIENT, _DURATION = 200.0, 40.0
 _PEAKS = 12  # the number of velocity maxima to examine
 # The most steps of a dry run to find a guess, see `PERIOD_STEPS`.  Usual ones take some 15 per
 # unit of time.
@@ -95,13 +96,13 @@ _ONE = 1e-6  # how close to 1 the second multiplier of a family is
 
 def watched(model: Any, state: State, t1: Any, watch: Section | Trajectory) -> Any:
     """The maxima of a run whose sticking masses have small errors in units of the width."""
-    rtol: Any = 1e-8
+    rtol, (time, unit, _) = 1e-8, lax.stop_gradient(model.natural_scales())
     if not model.dry and (layer := model.layer(0.0, state)) is not None:
-        rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(layer[1])), 1e-11, 1e-7)
+        rtol = jnp.clip(1e-4 * jnp.min(lax.stop_gradient(layer[1])) / unit, 1e-11, 1e-7)
     solver = _solver_of(model, state)
     most = None
-    if model.dry and not is_traced(t1):
-        most = max(_GUESS_STEPS, int(_STEPS_PER_TIME * float(t1)))
+    if model.dry and not is_traced(t1, time):
+        most = max(_GUESS_STEPS, int(_STEPS_PER_TIME * float(t1) / float(time)))
         most += 10 * STEPS_PER_MASS * state[0].size
     how: Any = {"solver": solver, "rtol": rtol, "max_steps": most, "throw": False}
     run = simulate(model, state, t1, observe=watch, **how)
@@ -118,7 +119,8 @@ def most_lively(model: AbstractModel, state: State) -> int:
     if is_traced(model, state):
         return reference_site(state[0].shape[0])
     rest = model.equilibrium() or (0.0,) * len(state)
-    apart = [(part - still) ** 2 for part, still in zip(state, rest, strict=True)]
+    known = zip(state, rest, model.times_of(len(state)), strict=True)
+    apart = [((part - still) / unit) ** 2 for part, still, unit in known]
     return int(jnp.argmax(sum(apart)))
 
 
@@ -134,7 +136,7 @@ def guess_from_simulation(
     mass: int | None = None,
     *,
     transient: Given[ScalarLike] = 0.0,
-    duration: Given[ScalarLike] = 40.0,
+    duration: Given[ScalarLike] = _DURATION,
 ) -> Guess:
     """A point of the orbit on which `state` settles, and its period.
 
@@ -162,15 +164,18 @@ def guess_from_simulation(
     check_positive_number("duration", duration, "40 is some six periods.")
     mass = _cut_at(model, state, mass)
     watch = Section(mass, _PEAKS, to_float(transient), of="velocity")
-    return _last_return(*watched(model, state, transient + duration, watch))
+    return _last_return(model, *watched(model, state, transient + duration, watch))
 
 
 @eqx.filter_jit
-def _last_return(times: Array, *parts: Array) -> Guess:
+def _last_return(model: AbstractModel, times: Array, *parts: Array) -> Guess:
     """The last state, and the time since the most similar earlier one."""
     last = jnp.sum(jnp.isfinite(times)) - 1
     before = last - 1 - jnp.arange(times.size - 1)  # one return ago, two, ...
-    gaps = [jnp.linalg.norm(part[before] - part[last][None], axis=1) for part in parts]
+    known = zip(parts, model.times_of(len(parts)), strict=True)
+    gaps = [
+        jnp.linalg.norm(part[before] - part[last][None], axis=1) / unit for part, unit in known
+    ]
     distance = jnp.where(before >= 0, sum(gaps), jnp.inf)
     # Take the first return that is nearly as good as the best.
     enough = 2.0 * jnp.min(distance) + 1e-3 * jnp.linalg.norm(parts[-1][last])
@@ -179,14 +184,14 @@ def _last_return(times: Array, *parts: Array) -> Guess:
     return tuple(part[last] for part in parts), period
 
 
-def _forced_guess(model: AbstractModel, state: State, transient: float) -> Guess:
+def _forced_guess(model: AbstractModel, state: State, transient: Any) -> Guess:
     """(the state after enough periods of the force, the time after which it returns)."""
     forced = to_float(model.forcing_period())
-    forcing_periods = max(2 * _MOST_FORCING_PERIODS, math.ceil(transient / float(forced)))
+    forcing_periods = max(2 * _MOST_FORCING_PERIODS, math.ceil(float(transient) / float(forced)))
     times = forced * jnp.arange(forcing_periods - _MOST_FORCING_PERIODS, forcing_periods + 1)
     how: Any = {"solver": _solver_of(model, state), "rtol": 1e-8, "throw": False}
     run = simulate(model, state, times[-1], observe=Trajectory(times), **how)
-    return _last_return(times, *lax.stop_gradient(run.observed))
+    return _last_return(model, times, *lax.stop_gradient(run.observed))
 
 
 def _at_phase_0(model: AbstractModel, run: Simulation) -> State:
@@ -209,7 +214,7 @@ def guess_from_point(model: AbstractModel, state: State, period: Any, mass: int)
         acceleration = model.second_rate(0.0, state)[mass]
         velocity = along * model.value_and_rate(0.0, state)[1][mass]
         # The acceleration of a sticking mass is small, but greater than this.
-        if velocity > 0 and abs(acceleration) < 1e-9 * velocity:
+        if velocity > 0 and abs(acceleration) * model.natural_scales()[0] < 1e-9 * velocity:
             return state
     # A little more than a period, for an orbit that begins at the maximum.
     watch = Section(mass, _PEAKS, of="velocity")
@@ -308,15 +313,16 @@ def solve_cycle(
     # In the shooting equations velocities count by their distance from the belt's: a fast orbit
     # that decays, or a piece of one, is end there.  So the gap counts as a share of the
     # orbit's size, too.
-    left = jnp.max(jnp.abs(jnp.stack(whole.end) - jnp.stack(state)))
+    left = distance(field, whole.end, state)
     f = None if forced else jnp.concatenate(field(0.0, state))
     floquet = orbit_multipliers(whole.monodromy, f)
     forward = field.belt_direction() * field.value_and_rate(0.0, state)[1][mass] > 0
+    velocity = shooting.of_variables[0] / shooting.of_time
     cycle = _cycle(
         shooting,
         end.u,
         tolerance,
-        moves=((whole.fastest[mass] > LEAST_VELOCITY) & forward) | forced,
+        moves=((whole.fastest[mass] > LEAST_VELOCITY * velocity) & forward) | forced,
         lost=whole.complete & ~field.can_be_cycle(period, whole.fastest),
         ended=ending(end, jnp.asarray(False), limit),
         residual=jnp.fmax(greatest_gap(end), left / whole.returned.farthest),
@@ -425,6 +431,8 @@ class _RunResults(NamedTuple):
 class StateEquations(eqx.Module):
     """The equations of a periodic orbit in its state and period, u = (x, v, T) for m = 2.
 
+    They are in `units`, see `AbstractOrbit`.
+
     They serve dry friction, whose section is an event, and verdicts, whose runs have any solver
     and need no section; `Shooting` has the coordinates that narrow widths need.  Those of
     `closing` cut the orbit where mass `mass` is fastest, or is released by the belt; a forced
@@ -438,13 +446,21 @@ class StateEquations(eqx.Module):
     n: int = eqx.field(static=True)
     mass: int = eqx.field(static=True, default=0)
     forcing_periods: int | None = eqx.field(static=True, default=None)
+    units: Float[Array | np.ndarray, " m_and_time"] | None = None
+
+    @property
+    def sizes(self) -> Any:
+        """What counts as 1 of each unknown."""
+        units = jnp.ones(self.m + 1) if self.units is None else jnp.asarray(self.units)
+        return jnp.append(jnp.repeat(units[:-1], self.n), units[-1])
 
     def pack(self, state: State, period: Array) -> Array:
         """u of a state and a period."""
-        return jnp.concatenate([*state, period[None]])
+        return jnp.concatenate([*state, period[None]]) / self.sizes
 
     def unpack(self, u: Array) -> tuple[AbstractModel, State, Array]:
         """(field, state, period)."""
+        u = u * self.sizes
         return self.field, tuple(jnp.split(u[:-1], self.m)), u[-1]
 
     def run(self, u: Array, observe: Any) -> Simulation:
@@ -459,11 +475,12 @@ class StateEquations(eqx.Module):
         """(gaps of the return, and of the section or the period; the amplitudes)."""
         run, (field, state, period) = self.run(u, Amplitude()), self.unpack(u)
         gaps = [after - before for after, before in zip(run.state, state, strict=True)]
+        length, time = self.sizes[0], self.sizes[-1]
         if self.forcing_periods is None:
-            last = slipping(field, 0.0, state)[self.mass]
+            last = slipping(field, 0.0, state)[self.mass] * (time**2 / length)
         else:
-            last = period - self.forcing_periods * to_float(field.forcing_period())
-        return jnp.concatenate([*gaps, last[None]]), run.observed
+            last = (period - self.forcing_periods * to_float(field.forcing_period())) / time
+        return jnp.append(jnp.concatenate(gaps) / self.sizes[:-1], last), run.observed
 
     @eqx.filter_jit
     def close(self, state: State, period: Array, scale: Any = 1.0) -> ClosedOrbit:
@@ -479,14 +496,14 @@ class StateEquations(eqx.Module):
         each variable of the state or of all.  The period of a forced orbit, whose `state` is that
         at t = 0, is kept, dT = 0, or divided so that it is still a multiple of the forcing period.
         """
-        model, start = self.field, self.pack(state, period)
+        model, start, units = self.field, self.pack(state, period), self.sizes
         d, forced = start.shape[0] - 1, model.forcing_period() is not None
         dry = isinstance(self.solver, EventDriven)
         observe = [Returns(), MostSticking()] if dry else [Returns()]
 
         def end_of(u: Array) -> tuple[Array, tuple[Array, list]]:
             run = self.run(u, observe)
-            end = jnp.concatenate(run.state)
+            end = jnp.concatenate(run.state) / units[:-1]
             return end, (end, [*run.observed, jnp.zeros((), int)][:2])
 
         weights = jnp.full(start.shape, start.shape[0] ** -0.5)
@@ -505,7 +522,8 @@ class StateEquations(eqx.Module):
 
         def closed(now: Iterate) -> Array:
             # A share of the size of the orbit.
-            return greatest_gap(now) <= 1e-6 * now.aux.returned.farthest
+            size = now.aux.returned.farthest / (units[0] / units[-1])
+            return greatest_gap(now) <= 1e-6 * size
 
         # A dry run often starts where a mass begins to stick: a kink, which the first step may
         # cross.
@@ -515,9 +533,9 @@ class StateEquations(eqx.Module):
         )  # fmt: skip
         failed = jnp.where(jnp.isfinite(best.length), 0.0, jnp.nan)
         u, slopes = best.u + failed, best.aux.slopes + failed
-        _, found, _ = self.unpack(u)
-        possible = model.can_be_cycle(u[-1], jnp.abs(found[-1]))
-        once = start.at[-1].divide(jnp.maximum(jnp.round(period / u[-1]), 1.0))
+        _, found, own = self.unpack(u)
+        possible = model.can_be_cycle(own, jnp.abs(found[-1]))
+        once = start.at[-1].divide(jnp.maximum(jnp.round(period / own), 1.0))
         floquet = orbit_multipliers(slopes[:, :-1], None if forced else slopes[:, -1])
         resolution = jnp.maximum(floquet.defect, multiplier_resolution(slopes[:, :-1]))
         resolved = ~(jnp.abs(floquet.multipliers) < resolution)
@@ -526,11 +544,12 @@ class StateEquations(eqx.Module):
         kept = jnp.arange(others) < others - best.aux.sticking
         multipliers = jnp.where(resolved, floquet.multipliers, jnp.nan)
         multipliers = jnp.where(kept | ~jnp.isfinite(floquet.multipliers), multipliers, 0.0)
+        scale = scale / units[:-1]
         gap = jnp.where(possible, jnp.max(jnp.abs(best.value[:-1]) / scale), jnp.inf) + failed
-        sizes = jnp.append(scale + jnp.zeros(d), jnp.min(scale))
+        sizes = jnp.append(scale, jnp.min(scale))
         return ClosedOrbit(
             state=found,
-            period=u[-1],
+            period=own,
             gap=gap,
             distance=jnp.max(jnp.abs(u - once) / sizes),
             multipliers=multipliers,
@@ -568,11 +587,11 @@ def dry_cycle(
     runs = DryRun(chain, equations.rtol, mass, equations.forcing_periods)
     state, end, (low, high, fastest, _) = runs.from_the_cut(orbit.state, orbit.period)
     u = equations.pack(state, orbit.period)
-    gap = jnp.concatenate(end) - jnp.concatenate(state)
+    least = LEAST_VELOCITY * chain.natural_scales()[1]
     stuck = returned.farthest == 0  # where positions in an interval are in balance
     # A forced mass may be fastest against the belt.
-    greatest = jnp.maximum(returned.farthest, LEAST_VELOCITY) if forced else fastest[mass]
-    residual, moves = jnp.max(jnp.abs(gap)) / greatest, greatest > LEAST_VELOCITY
+    greatest = jnp.maximum(returned.farthest, least) if forced else fastest[mass]
+    residual, moves = distance(chain, end, state) / greatest, greatest > least
     unresolved = jnp.isnan(orbit.multipliers) & jnp.isfinite(orbit.defect)
     cycle = _cycle(
         equations,
@@ -786,10 +805,12 @@ def find_limit_cycle(
         forcing_periods = forcing_periods_of(fixed, period)
     if model.dry:
         solve, rtol = dry_cycle, to_float(rtol)
-        equations = StateEquations(fixed, rtol, EventDriven(), m, n, mass, forcing_periods)
+        shape = m, n, mass, forcing_periods, units_of(fixed, state)
+        equations = StateEquations(fixed, rtol, EventDriven(), *shape)
     else:
         solve, solver = solve_cycle, cycle_solver(fixed, rtol, state)
-        equations = Shooting(fixed, rtol, solver, mass, images, None, m, forcing_periods, shift)
+        shape = None, m, forcing_periods, shift, units_of(fixed, state)
+        equations = Shooting(fixed, rtol, solver, mass, images, *shape)
     reason = ""
     numbers = to_float(tolerance), jnp.asarray(np.asarray(limit, dtype=int))
     start = lax.stop_gradient((state, period))
@@ -839,7 +860,8 @@ def resolve_guess(
         if guess.turns is not None and model.forcing_period() is not None:
             period = guess.turns * to_float(model.forcing_period())
     else:
-        transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT
+        time = lax.stop_gradient(model.natural_scales()[0])
+        transient = 0.0 if isinstance(guess, Simulation) else _TRANSIENT * time
         if isinstance(guess, Simulation):
             forced = model.forcing_period() is not None
             guess = _at_phase_0(model, guess) if forced else guess.state
@@ -854,7 +876,8 @@ def resolve_guess(
             forcing_periods_of(model, period)
             period = to_float(period)
         elif period is None:
-            state, period = guess_from_simulation(model, state, mass, transient=transient)
+            lasts: Any = {"transient": transient, "duration": _DURATION * time}
+            state, period = guess_from_simulation(model, state, mass, **lasts)
             if isinstance(model, AbstractCells) and not model.dry:
                 state = guess_from_point(model, state, period, mass)  # not at a lesser maximum
         else:

@@ -8,9 +8,12 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
+from .._checks import to_float
 from .._types import State
 from ..continuation.arclength import make_corrector
 from ..continuation.branch import SpecialPoint
@@ -54,6 +57,8 @@ class AbstractOrbit(abc.ABC):
     - `parameter`: the argument of `model.with_` that is the parameter of the equations, a tuple of
       several, or None.
     - `forcing_periods`: the number of periods of the force in the orbit's; None without forcing.
+    - `units`: what counts as 1 of each of the m variables of a cell, then of time, in the unknowns
+      and the equations; None: 1 of all.
     - `special_kind`: the kind of special point whose equation is among these, or None;
       `curve_ends`: the tests of `curve_tests` at whose zero a curve of special points ends.
     """
@@ -62,6 +67,7 @@ class AbstractOrbit(abc.ABC):
     parameter: str | tuple[str, ...] | None
     m: int
     forcing_periods: int | None
+    units: Float[Array | np.ndarray, " m_and_time"] | None
     special_kind: AbstractKind | None
     curve_ends: tuple[str, ...]
 
@@ -69,6 +75,16 @@ class AbstractOrbit(abc.ABC):
     @abc.abstractmethod
     def size(self) -> int:
         """The number of unknowns."""
+
+    @property
+    def of_variables(self) -> tuple[Any, ...]:
+        """What counts as 1 of each variable of a cell."""
+        return (1.0,) * self.m if self.units is None else (*self.units[:-1],)
+
+    @property
+    def of_time(self) -> Any:
+        """What counts as 1 of time."""
+        return 1.0 if self.units is None else self.units[-1]
 
     @property
     def is_family(self) -> bool:
@@ -97,8 +113,8 @@ class AbstractOrbit(abc.ABC):
         """(F, [F_u F_p], further results) from one integration.
 
         The results have `state`, `period`, `speed` (the greatest along the belt of the mass that
-        is cut), `amplitude`, `multipliers` (all but the trivial one, the greatest modulus first),
-        `trivial_defect`, `monodromy` and `sound`.
+        is cut, in `units`), `amplitude`, `multipliers` (all but the trivial one, the greatest
+        modulus first), `trivial_defect`, `monodromy` and `sound`.
         """
 
     @abc.abstractmethod
@@ -160,6 +176,15 @@ class AbstractOrbit(abc.ABC):
     @abc.abstractmethod
     def beyond(self, ended: str, u: np.ndarray) -> AbstractOrbit | None:
         """The orbit of the next piece of a curve, if it goes on where it has `ended`."""
+
+
+def units_of(model: AbstractModel, state: State) -> Float[Array, " m_and_time"] | None:
+    """`AbstractOrbit.units` of the cycle through a state."""
+    sizes = model.sizes(state)
+    if sizes is None:
+        return None
+    kept = [jnp.where(a > 0, a, 1.0) for a in sizes]
+    return lax.stop_gradient(jnp.stack([*kept, to_float(model.natural_scales()[0])]))
 
 
 def together(function: Callable[..., Any], *columns: np.ndarray) -> Any:

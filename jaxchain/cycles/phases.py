@@ -91,7 +91,7 @@ class CycleProperties(NamedTuple):
     """Further results of a cycle.
 
     - `state` at the start, `period`; `speed`: along the belt, of the mass that is cut, of a slip
-      cycle, else infinite; `below`: how much slower than the belt it is.
+      cycle, else infinite; `below`: how much slower than the belt it is, both in `Phases.units`.
     - `sound`: finite and accurate, with positive durations.
     - `margins`: of the nearest further "grazing", "release", "stick onset", and the least duration
       with the sign -1, relative to the belt speed, the static limit or the period: a sequence
@@ -119,7 +119,7 @@ class CycleProperties(NamedTuple):
 
 
 class Phases(AbstractOrbit, eqx.Module):
-    """The equations of a cycle: u = (y, t_0 if forced, tau_1 ... tau_K).
+    """The equations of a cycle: u = (y, t_0 if forced, tau_1 ... tau_K), in `units`.
 
     All about the sequence are arrays, so that sequences of as many events share a program.
 
@@ -142,6 +142,7 @@ class Phases(AbstractOrbit, eqx.Module):
     apart: Bool[Array | np.ndarray, " phases"]
     onsets: Int[Array | np.ndarray, " phases"]
     alike: Bool[Array | np.ndarray, " places"]
+    units: Float[Array | np.ndarray, " m_and_time"] | None
     m: int = eqx.field(static=True)
     slips: bool = eqx.field(static=True)
     steps: int = eqx.field(static=True, default=STEPS_OF_A_PHASE)
@@ -169,6 +170,11 @@ class Phases(AbstractOrbit, eqx.Module):
         return self.m * self.n + (self.forcing_periods is not None) + len(self.events)
 
     @property
+    def of_state(self) -> Float[Array, " d"]:
+        """What counts as 1 of each number of a state."""
+        return jnp.repeat(jnp.stack([*map(to_float, self.of_variables)]), self.n)
+
+    @property
     def mass(self) -> Any:
         """The place at whose event the cycle is cut."""
         return self.events[-1][1]
@@ -180,17 +186,28 @@ class Phases(AbstractOrbit, eqx.Module):
 
     def unpack(self, u: Float[Array, " m"], *parameter: Any) -> tuple[Any, State, Array]:
         """(field, state at the start, period)."""
-        d, count = self.m * self.n, len(self.events)
-        return self.at(*parameter), tuple(jnp.split(u[:d], self.m)), jnp.sum(u[-count:])
+        state, times = self.in_units(u)
+        period = jnp.sum(times[-len(self.events) :])
+        return self.at(*parameter), tuple(jnp.split(state, self.m)), period
+
+    def pack(self, state: Float[Array, " d"], times: Array) -> Float[Array, " m"]:
+        """u of a state, t_0 if forced, and durations."""
+        return jnp.concatenate([state / self.of_state, times / self.of_time])
+
+    def in_units(self, u: Float[Array, " m"]) -> tuple[Array, Array]:
+        """(the state, t_0 if forced and the durations)."""
+        d = self.m * self.n
+        return u[:d] * self.of_state, u[d:] * self.of_time
 
     def _scale(self, u: Array) -> Any:
         """What the gaps of the return are divided by."""
         still = not self.slips or self.forcing_periods is not None
-        return 1.0 if still else self._speed(u)
+        return 1.0 if still else self._speed(u) / self.of_variables[-1]
 
     def _speed(self, u: Array) -> Any:
         """The velocity of the place that is cut, along its direction."""
-        parts = [part[self.mass % self.n] for part in jnp.split(u[: self.m * self.n], self.m)]
+        state = self.in_units(u)[0]
+        parts = [part[self.mass % self.n] for part in jnp.split(state, self.m)]
         touched = [*self.field.frictional_contacts, *self.field.stops]
         directions = jnp.asarray([one.direction for one in touched])
         return directions[self.mass // self.n] @ jnp.stack(parts[self.m // 2 :])
@@ -221,11 +238,17 @@ class Phases(AbstractOrbit, eqx.Module):
     def run(self, u: Float[Array, " m"], *parameter: Any) -> tuple[Array, Any]:
         """(`residual`, (margins, error))."""
         field, state, period = self.unpack(u, *parameter)
-        durations, d = u[-len(self.events) :], self.m * self.n
+        times, d, of_state = self.in_units(u)[1], self.m * self.n, self.of_state
+        durations, of_time = times[-len(self.events) :], self.of_time
+        lasting, of_force = (
+            u[-len(self.events) :],
+            lax.stop_gradient(self.field.natural_scales()[2]),
+        )
         limit, scale = limits(field, self.n), scales(field, self.n)
+        of_place = self._of_places()
         modes = jnp.asarray(self.modes, float)
         single, indices = alone(field), jnp.arange(modes.shape[1])
-        begin = u[d] if self.forcing_periods is not None else jnp.zeros(())
+        begin = times[0] if self.forcing_periods is not None else jnp.zeros(())
 
         def parts(z: Array) -> tuple[Array, State]:
             return z[0], tuple(jnp.split(z[1:], self.m))
@@ -269,7 +292,7 @@ class Phases(AbstractOrbit, eqx.Module):
                 inside = (up > 0) & (down < 0)
                 inside &= ~((k == 0) & first) & ~((k == self.steps - 1) & last)
                 top = jnp.where(inside, peak(low, high, width * up, width * down), -1.0)
-                error += lax.stop_gradient(jnp.max(jnp.abs(missed)))
+                error += lax.stop_gradient(jnp.max(jnp.abs(missed[1:] / of_state)))
                 return end, new, extent, jnp.maximum(highest, top), error
 
             extent = jnp.stack([z[1 : self.n + 1]] * 2)
@@ -278,7 +301,7 @@ class Phases(AbstractOrbit, eqx.Module):
                 # Forces and velocities of others may have jumped at the event before.
                 begins = jnp.where(first, -1.0, lax.stop_gradient(near(z)))
                 (w, r), (rises, _) = jax.jvp(contact, (z,), (rate(z),))
-                follows = outside(mode, w, rises, r, limit, scale)[place]
+                follows = outside(mode, w, rises * of_time, r, limit, scale)[place]
                 follows = jnp.where(event == EVENTS.index("at once"), follows, 1.0)
             start = z, rate(z), extent, begins, jnp.zeros(())
             z, slope, extent, highest, error = lax.fori_loop(0, self.steps, step, start)
@@ -288,7 +311,9 @@ class Phases(AbstractOrbit, eqx.Module):
                 highest = jnp.maximum(highest, ending)
             (w, r), (slowing, rising) = jax.jvp(contact, (z,), (slope,))
             z = thrown_at(field, z, self.m, event, place)
-            return z, (jnp.stack([w, slowing, r, rising]), extent, highest, error, follows)
+            slowing, rising = slowing * of_time, rising * of_time
+            seen = [w / of_place, slowing / of_place, r / of_force, rising / of_force]
+            return z, (jnp.stack(seen), extent, highest, error, follows)
 
         start = jnp.concatenate([begin[None], *state])
         ended, met = self._events_at_ends(True), self._events_at_ends(False)
@@ -298,24 +323,30 @@ class Phases(AbstractOrbit, eqx.Module):
         )
 
         def value(k: Any, event: Any, place: Any, sign: Any) -> Array:
-            at = jnp.where(event == EVENTS.index("release"), sign * limit[place], 0.0)
+            at = jnp.where(event == EVENTS.index("release"), sign * limit[place] / of_force, 0.0)
             own = values[k, event, place] - at  # `at once` is beyond the last row
-            return (
-                own if single else jnp.where(event == EVENTS.index("at once"), durations[k], own)
-            )
+            return own if single else jnp.where(event == EVENTS.index("at once"), lasting[k], own)
 
-        gap = (z[1:] - u[:d]) / self._scale(u)  # or steady sliding would be a solution
+        # Divided, or steady sliding would be a solution.
+        gap = (z[1:] / of_state - u[:d]) / self._scale(u)
         gaps = [gap, jax.vmap(value)(every, *events.T)]
         if self.forcing_periods is not None:
-            gaps.append((period - self.forcing_periods * to_float(field.forcing_period()))[None])
+            missed = period - self.forcing_periods * to_float(field.forcing_period())
+            gaps.append((missed / of_time)[None])
         if self.special is not None:
             k, kind, sign = jnp.asarray(self.special)
             event = jnp.where(kind == 0, EVENTS.index("landing"), EVENTS.index("release"))
             own = value(k, event, events[k, 1], sign)
-            gaps.append(jnp.where(kind == _TOGETHER, durations[k], own)[None])
-        margins = self._margins(values, highest, durations, limit, follows)
+            gaps.append(jnp.where(kind == _TOGETHER, lasting[k], own)[None])
+        margins = self._margins(values, highest, durations, limit / of_force, follows)
         amplitude = (jnp.max(extents[:, 1], axis=0) - jnp.min(extents[:, 0], axis=0)) / 2
         return jnp.concatenate(gaps), (margins, jnp.sum(errors), amplitude)
+
+    def _of_places(self) -> Array:
+        """What counts as 1 of w of each place, and of the gap of a stop."""
+        kinds = [self.field.frictional_contacts, self.field.stops]
+        units = zip(kinds, (self.of_variables[-1], self.of_variables[0]), strict=True)
+        return jnp.concatenate([jnp.full(self.n * len(kind), unit) for kind, unit in units])
 
     def _events_at_ends(self, at_once: bool) -> Bool[Array, "phases places"]:
         """Which places have an event at the end of each phase, also with others at one time.
@@ -384,7 +415,10 @@ class Phases(AbstractOrbit, eqx.Module):
             j = field.contact * self.n + self.mass
             # dp for w_+ = w_- = w, and for w_+ = 0, where the gap of v_j is w_-.
             cut = jax.jacfwd(
-                lambda z: z[j] - belts(self.unpack(u, *z[u.size :])[0], self.n)[self.mass]
+                lambda z: (
+                    z[j]
+                    - belts(self.unpack(u, *z[u.size :])[0], self.n)[self.mass] / self.of_state[j]
+                )
             )(z)
             square = jnp.concatenate([slopes[: u.size], cut[None]])[:, : u.size + 1]
             right = jnp.zeros((2, u.size + 1)).at[0, -1].set(1.0)
@@ -394,10 +428,12 @@ class Phases(AbstractOrbit, eqx.Module):
         speed, below = jnp.inf * period, jnp.ones(())
         if self.slips and field.frictional_contacts:
             belt, own = belts(field, self.n)[self.mass], self._speed(u)
-            speed, below = jnp.sign(belt) * own, jnp.sign(belt) * (belt - own)
+            unit = jnp.sign(belt) * self.of_variables[-1]
+            speed, below = own / unit, (belt - own) / unit
         elif self.slips:
-            t = u[self.m * self.n] if self.forcing_periods is not None else 0.0
+            t = self.in_units(u)[1][0] if self.forcing_periods is not None else 0.0
             below = at_places(field, t, state, jnp.asarray(self.modes[0], float))[0][self.mass]
+            below = below / self._of_places()[self.mass]
         sound = jnp.all(jnp.isfinite(gaps)) & (error < _ACCURATE) & (period > 0)
         matrix = self._monodromy(u, slopes)
         rest = matrix, _multipliers(matrix), jnp.nan * period, error, amplitude
@@ -405,7 +441,7 @@ class Phases(AbstractOrbit, eqx.Module):
         return gaps, slopes, properties
 
     def _end(self, u: Array, gaps: Array) -> Array:
-        """What returns, the state and, if forced, its time, at the end."""
+        """What returns, the state and, if forced, its time, at the end, in `units`."""
         d = self.m * self.n
         end = self._scale(u) * gaps[:d] + u[:d]
         if self.forcing_periods is None:
@@ -482,11 +518,11 @@ class Phases(AbstractOrbit, eqx.Module):
 
     def cycles(self, rows: Rows, special: SpecialRows, mass: int, rtol: Any) -> Cycles:
         """See `AbstractOrbit`; where the belt releases the mass, or it is fastest."""
-        d, forced = self.m * self.n, self.forcing_periods is not None
-        columns = [
-            (u[:d], u[d] if forced else 0.0, np.sum(u[-len(of.events) :]), p)
-            for of, u, p in [*rows, *((of, raw.u, raw.p) for of, raw in special)]
-        ]
+        forced, columns = self.forcing_periods is not None, []
+        for of, u, p in [*rows, *((of, raw.u, raw.p) for of, raw in special)]:
+            state, times = map(np.asarray, of.in_units(u))
+            period = np.sum(times[-len(of.events) :])
+            columns.append((state, times[0] if forced else 0.0, period, p))
         runs = DryRun(self.field, to_float(rtol), mass, self.forcing_periods)
         return together(
             lambda *some: _dry_cycles(runs, self.parameter, self.m, *some),

@@ -19,6 +19,7 @@ from ..simulation.run import simulate
 from ..solvers.dry_friction import STICK, Dry, alone, modes_at
 from .dry_runs import PERIOD_STEPS, STEPS_PER_MASS
 from .floquet import forcing_periods_of
+from .orbit import units_of
 from .phases import KINDS, STEPS_OF_A_PHASE, Phases
 from .places import EVENTS, at_places, limits, scales, stops_of
 
@@ -36,7 +37,7 @@ _JUMPS, _AT_EVENT, _ROUNDING = 1e-7, 1e-5, 1e-8
 
 def phases_from(
     field: Any, modes: Any, events: Any, special: Any, m: int, apart: Any = (True,),
-    onsets: Any = (0,), alike: Any = (), **how: Any,
+    onsets: Any = (0,), alike: Any = (), units: Any = None, **how: Any,
 ) -> Phases:  # fmt: skip
     """`Phases` from lists: of modes, of (event, mass, sign), of masses; (event, kind, sign)."""
     events, modes = [(EVENTS.index(e), i, sign) for e, i, sign in events], np.array(modes, int)
@@ -46,7 +47,7 @@ def phases_from(
         special = np.array([k, KINDS.index(kind), sign], int)
     same = np.isin(np.arange(modes.shape[1]), alike)
     some = np.array(events, int), special, np.array(apart, bool), np.array(onsets, int), same
-    return Phases(field, modes, *some, m, slips, **how)
+    return Phases(field, modes, *some, units, m, slips, **how)
 
 
 def slip_phases(
@@ -57,8 +58,9 @@ def slip_phases(
     belts = np.asarray(chain.frictional_contacts[0].speed_at(0.0))
     mode = tuple((-np.sign(belts) * np.ones(state[0].shape[0])).tolist())
     special = (0, "grazing", 0.0) if grazes else None
-    phases = phases_from(chain, [mode], [("peak", mass, 0.0)], special, len(state))
-    return phases, jnp.append(jnp.concatenate(state), period)
+    event, units = ("peak", mass, 0.0), units_of(chain, state)
+    phases = phases_from(chain, [mode], [event], special, len(state), units=units)
+    return phases, phases.pack(jnp.concatenate(state), jnp.stack([jnp.asarray(period)]))
 
 
 class _Event(NamedTuple):
@@ -106,7 +108,7 @@ class _Seen:
     def __init__(self, model: Dry, state: State, period: Any):
         self.model, self.state, self.period = model, state, float(period)
         self.n = state[0].shape[0]
-        self.unit = float(model.natural_scales()[1])
+        self.time, self.unit = map(float, model.natural_scales()[:2])
         parts = limits(model, self.n), scales(model, self.n)
         self.limit, self.scale = (np.asarray(part) for part in parts)
 
@@ -214,9 +216,8 @@ def phases_of(
         and (event.event, one.event, one.place) != ("release", "landing", event.place)
         for length, one, event in zip(before, events[-1:] + events[:-1], events, strict=True)
     ]
-    u = np.concatenate([np.ravel(begin.state), before])
-    if model.forcing_period() is not None:
-        u = np.insert(u, u.size - len(events), begin.time % seen.period)
+    forced = model.forcing_period() is not None
+    times = np.append(begin.time % seen.period, before) if forced else before
     phases = phases_from(
         model,
         sequence,
@@ -225,11 +226,12 @@ def phases_of(
         apart=apart,
         onsets=onsets,
         alike=alike,
-        steps=STEPS_OF_A_PHASE * int(np.ceil(np.max(before) / (2 * np.pi))),
+        steps=STEPS_OF_A_PHASE * int(np.ceil(np.max(before) / (2 * np.pi * seen.time))),
         m=len(state),
+        units=units_of(model, state),
         forcing_periods=forcing_periods_of(model, period),
     )
-    return phases, jnp.asarray(u)
+    return phases, phases.pack(jnp.ravel(begin.state), jnp.asarray(times))
 
 
 def _closest(

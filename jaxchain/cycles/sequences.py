@@ -42,8 +42,9 @@ _GONE, _BEGIN = (1e-5, 1e-7), 1e-4
 # share of the phase; and how close in the run from which a sequence is read.
 _TOGETHER, _SAME_TIME, _GROUPED = 1e-5, 1e-3, 1e-3
 _NEWTON_STEPS, _CONVERGED = 12, 1e-10
-# The greatest distance of a special cycle from where its branch met it, which is less accurate.
-_SAME_POINT = 1e-5
+# The greatest distance of a special cycle from where its branch met it, which is less accurate,
+# as a share of the parameter.
+_SAME_POINT = 2e-5
 
 
 class _Part(NamedTuple):
@@ -95,9 +96,9 @@ class _Sequence(NamedTuple):
 class _Along(NamedTuple):
     """Along each part of a cycle.
 
-    `states` (steps + 1, 1 + m n), (t, y); `near` (steps + 1, n): how far each mass is from an
-    event, which is at 0, as in `Phases.run`; `force` (steps + 1, n): r, at the end of a mass that
-    lands the force that would hold it.
+    `states` (steps + 1, 1 + m n), (t, y) in the units of the orbit; `near` (steps + 1, n): how far
+    each mass is from an event, which is at 0, as in `Phases.run`; `force` (steps + 1, n): r, at
+    the end of a mass that lands the force that would hold it.
     """
 
     states: Any
@@ -108,9 +109,10 @@ class _Along(NamedTuple):
 @eqx.filter_jit
 def _along(u: Array, p: Any, orbit: Phases) -> _Along:
     field, state, _ = orbit.unpack(u, p)
-    d, k, n = orbit.m * orbit.n, len(orbit.events), orbit.n
-    begin = u[d] if orbit.forcing_periods is not None else jnp.zeros(())
+    k, n, times = len(orbit.events), orbit.n, orbit.in_units(u)[1]
+    begin = times[0] if orbit.forcing_periods is not None else jnp.zeros(())
     limit, scale = limits(field, n), scales(field, n)
+    units = jnp.append(orbit.of_time, orbit.of_state)
 
     def phase(z: Array, given: tuple[Array, Array, Array]) -> tuple[Array, _Along]:
         mode, duration, (event, place, _) = given
@@ -123,7 +125,7 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
             y = tuple(jnp.split(z[1:], orbit.m))
             w, r = at_places(field, z[0], y, mode)
             near = jnp.where(mode == STICK, jnp.abs(r) / limit - 1.0, -mode * w / scale)
-            return _Along(z, near, r)
+            return _Along(z / units, near, r)
 
         def step(z: Array, _: Any) -> tuple[Array, _Along]:
             end, _ = step_of_order_8(rate, z, rate(z), duration / orbit.steps)
@@ -138,7 +140,7 @@ def _along(u: Array, p: Any, orbit: Phases) -> _Along:
         return thrown_at(field, z1, orbit.m, event, place), along._replace(force=held)
 
     start = jnp.concatenate([begin[None], *state])
-    given = jnp.asarray(orbit.modes, float), u[-k:], jnp.asarray(orbit.events)
+    given = jnp.asarray(orbit.modes, float), times[-k:], jnp.asarray(orbit.events)
     return lax.scan(phase, start, given)[1]
 
 
@@ -186,7 +188,9 @@ def _made(orbit: Phases, of: _Sequence) -> tuple[Phases, np.ndarray, np.ndarray]
             new.append(part.new and not first)
     if together is not None:
         apart[together] = False
-    how = {name: getattr(orbit, name) for name in ("steps", "parameter", "forcing_periods")}
+    how = {
+        name: getattr(orbit, name) for name in ("steps", "parameter", "forcing_periods", "units")
+    }
     whole = phases_from(
         orbit.field, modes, events, special, orbit.m, apart, onsets, of.alike, **how
     )
@@ -209,7 +213,7 @@ def sequence_of(
     for least in (_GROUPED, 0.0):
         orbit = read
         if not read.slips:
-            orbit = replace(read, apart=u[-k:] > least * float(period))
+            orbit = replace(read, apart=u[-k:] > least * np.sum(u[-k:]))
             t0 = u[d] if read.forcing_periods is not None else 0.0
             of = _Sequence(_parts_of(orbit, u), np.append(t0, u[:d]))
             orbit, v, _ = _made(orbit, of)
@@ -246,18 +250,22 @@ def _exactly(
     """The special cycle itself, from its own equations."""
     if special is not None:
         there, u = special
-        z = np.append(u, raw.p)
+        unit = abs(raw.p) or 1.0
+        z = np.append(u, raw.p / unit)
         for _ in range(_NEWTON_STEPS):
-            r, slopes, seen = jax.device_get(_linearise(jnp.asarray(z[:-1]), float(z[-1]), there))
+            p = float(z[-1]) * unit
+            r, slopes, seen = jax.device_get(_linearise(jnp.asarray(z[:-1]), p, there))
             if not np.all(np.isfinite(r)) or not np.all(np.isfinite(slopes)):
                 break
+            slopes = np.append(slopes[:, :-1], slopes[:, -1:] * unit, axis=1)
             move = np.linalg.lstsq(slopes, r, rcond=1e-12)[0]
             z, error = z - move, float(np.linalg.norm(move))
             if error < _CONVERGED * (1.0 + np.linalg.norm(z)):
-                if abs(z[-1] - raw.p) > _SAME_POINT * (1.0 + abs(raw.p)):
+                if abs(z[-1] - raw.p / unit) > _SAME_POINT:
                     break  # another special cycle
-                found = {"u": z[:-1], "p": float(z[-1]), "extra": seen, "left_over": 0.0}
-                return there, replace(raw, **found, error=error, refined=bool(seen.sound))
+                found = {"u": z[:-1], "p": float(z[-1]) * unit, "extra": seen, "left_over": 0.0}
+                found |= {"error": error * unit, "refined": bool(seen.sound)}
+                return there, replace(raw, **found)
     return orbit, replace(raw, refined=False, error=np.inf)
 
 

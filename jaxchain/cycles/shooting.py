@@ -77,7 +77,8 @@ class CycleLinearisation(eqx.Module):
     """Further results of `Shooting.cycle`.
 
     - `state`: that on the section; `period`.
-    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut.
+    - `speed`: the greatest velocity, along the belt, of the mass where the orbit is cut, in
+      `Shooting.units`.
     - `times_round`: k = 2, 3, ... if the orbit already closes after 1/k of the period, else 1.
     - `amplitude` (n,): half peak-to-peak of each displacement over a period.
     - `monodromy` M = d(state after a period)/d(state), (2n, 2n), in the order (x, v); `part`: Q of
@@ -114,6 +115,7 @@ class Shooting(AbstractOrbit, eqx.Module):
     - `m`: the number of variables of a cell.
     - `forcing_periods`: the number of periods of the force in the orbit's; None without forcing.
     - `shift`: (motion, k) of orbits with x_motion[n](t + T / k) = x_n(t), or None.
+    - `units`: see `AbstractOrbit`.
     """
 
     field: AbstractModel
@@ -125,6 +127,7 @@ class Shooting(AbstractOrbit, eqx.Module):
     m: int = eqx.field(static=True, default=2)
     forcing_periods: int | None = eqx.field(static=True, default=None)
     shift: Shift | None = eqx.field(static=True, default=None)
+    units: Float[Array | np.ndarray, " m_and_time"] | None = None
 
     @property
     def n(self) -> int:
@@ -169,11 +172,12 @@ class Shooting(AbstractOrbit, eqx.Module):
 
     def pack(self, state: State, period: Any, *parameter: Any) -> Float[Array, " m"]:
         """u of a state on the section (without x_j if it is explicit)."""
-        field, parts = self.at(*parameter), list(state)
+        field = self.at(*parameter)
+        parts = [part / unit for part, unit in zip(state, self.of_variables, strict=True)]
         contact = min(field.contact, self.m - 1)
-        belt, width = _layer(field, parts[contact])
+        belt, width = _layer(field, state[contact])
         if width is not None:
-            parts[contact] = jnp.arcsinh((parts[contact] - belt) / width)
+            parts[contact] = jnp.arcsinh((state[contact] - belt) / width)
         elif self.is_family:
             parts[contact] = jnp.where(self._own, jnp.log(parts[contact]), parts[contact])
         rows = [self.others, *[self.solved] * (self.m - 1)]
@@ -197,10 +201,12 @@ class Shooting(AbstractOrbit, eqx.Module):
             parts[0] = parts[0][index]
         contact = min(field.contact, self.m - 1)
         belt, width = _layer(field, parts[contact])
+        known = parts[contact]
+        if self.is_family:
+            parts[contact] = jnp.where(self._own, jnp.exp(known), known)
+        parts = [part * unit for part, unit in zip(parts, self.of_variables, strict=True)]
         if width is not None:
-            parts[contact] = belt + width * jnp.sinh(parts[contact])
-        elif self.is_family:
-            parts[contact] = jnp.where(self._own, jnp.exp(parts[contact]), parts[contact])
+            parts[contact] = belt + width * jnp.sinh(known)
         if not self.balanced:
             return field, tuple(parts), period
         field = cast(AbstractOscillators, field)
@@ -268,7 +274,7 @@ class Shooting(AbstractOrbit, eqx.Module):
         extra = CycleLinearisation(
             state,
             period,
-            field.belt_direction() * field.value_and_rate(0.0, state)[1][self.mass],
+            field.belt_direction() * self._speed(field, state),
             whole.returned.times_round,
             whole.amplitude,
             whole.monodromy,
@@ -297,7 +303,7 @@ class Shooting(AbstractOrbit, eqx.Module):
         return weights
 
     def residual(self, u: Float[Array, " m"], *parameter: Any) -> Float[Array, " m"]:
-        """The gap of x and of z after a period, divided by the velocity amplitude of mass j.
+        """The gap of x and of z after a period, over the velocity amplitude of mass j, in `units`.
 
         If x_j is not explicit, its acceleration at the cut is one more, divided in the same way.
 
@@ -408,7 +414,7 @@ class Shooting(AbstractOrbit, eqx.Module):
             return "the amplitude vanishes"
         state = tuple(map(jnp.asarray, extra.state))
         greatest = np.max(np.abs(self.field.value_and_rate(0.0, state)[1]))
-        little = extra.speed < 1e-2 * greatest
+        little = extra.speed * self._unit_of_speed < 1e-2 * greatest
         return f"mass {self.mass} hardly vibrates: cut the orbit at another" if little else ""
 
     def is_valid(self, extra: CycleLinearisation) -> bool:
@@ -482,20 +488,31 @@ class Shooting(AbstractOrbit, eqx.Module):
         """The residual, given the state after a period."""
         field, state, _ = self.unpack(u, *parameter)
         contact, rows = min(field.contact, self.m - 1), jnp.asarray(self.solved, int)
-        gaps = [after - before for after, before in zip(end, state, strict=True)]
+        known = zip(end, state, self.of_variables, strict=True)
+        gaps = [(after - before) / unit for after, before, unit in known]
         belt, width = _layer(field, state[contact])
         if width is not None:
             # To first order a gap of z, but linear in v, for convergence far from the orbit.
-            gaps[contact] = gaps[contact] / jnp.hypot(state[contact] - belt, width)
+            missed = end[contact] - state[contact]
+            gaps[contact] = missed / jnp.hypot(state[contact] - belt, width)
         gaps = jnp.concatenate([gap[rows] for gap in gaps])
         if self.forcing_periods is not None:
             return gaps
         if not self.balanced:
-            gaps = jnp.append(gaps, field.second_rate(0.0, state)[self.mass])
-        gaps = gaps / field.value_and_rate(0.0, state)[1][self.mass]
+            slowing = field.second_rate(0.0, state)[self.mass] / self._unit_of_speed
+            gaps = jnp.append(gaps, slowing * self.of_time)
+        gaps = gaps / self._speed(field, state)
         if self.is_family and parameter:
             gaps = gaps.at[self._lost].set(u[-1] - jnp.log(parameter[0]))
         return gaps
+
+    @property
+    def _unit_of_speed(self) -> Any:
+        return self.of_variables[0] / self.of_time
+
+    def _speed(self, field: AbstractModel, state: State) -> Any:
+        """The velocity of the mass where the orbit is cut."""
+        return field.value_and_rate(0.0, state)[1][self.mass] / self._unit_of_speed
 
     @property
     def _own(self) -> np.ndarray:
@@ -559,7 +576,7 @@ def newton_minimal_period(
         end = newton_steps(linearise, nothing._replace(u=now.start), weights, going)
         count, returned = now.best.evaluations + end.evaluations, end.aux.returned
         field, state, period = equations.unpack(end.u)
-        same = closed(end) & returned.same(equations.unpack(now.best.u)[1], state)
+        same = closed(end) & returned.same(field, equations.unpack(now.best.u)[1], state)
         good = (now.best.evaluations == 0) | same
         best = where(good, end, now.best)._replace(evaluations=count)
         times = returned.times_round

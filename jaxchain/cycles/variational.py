@@ -61,10 +61,12 @@ class Sensitivity(NamedTuple):
     complete: Bool[Array, ""]
 
 
-def _plan(solver: Any, observers: Sequence[AbstractObserver], rtol: Any, t1: Any) -> SmoothedPlan:
-    kept = list(observers)
+def _plan(
+    field: AbstractModel, solver: Any, observers: Sequence[AbstractObserver], rtol: Any, t1: Any
+) -> SmoothedPlan:
+    longest = MAX_STEP * lax.stop_gradient(field.natural_scales()[0])
     return SmoothedPlan(
-        solver=solver, observers=kept, rtol=rtol, atol=0.1 * rtol, max_step=MAX_STEP, t1=t1
+        solver=solver, observers=[*observers], rtol=rtol, atol=0.1 * rtol, max_step=longest, t1=t1
     )
 
 
@@ -88,7 +90,7 @@ def forward_sensitivity(
     field, start, time = make(point)
     _, pushed = jax.linearize(lambda point: make(point)[1:], point)
     first, by_time = jax.vmap(pushed)(unit)
-    plan = _plan(solver, observers, rtol, jnp.abs(time))
+    plan = _plan(field, solver, observers, rtol, jnp.abs(time))
     begun = plan.begin(field, start, 0.0, jnp.abs(time))
     begun = eqx.tree_at(lambda p: p.memory.solver, begun, first, is_leaf=lambda x: x is None)
 
@@ -127,7 +129,7 @@ _CAME_BACK, _SAME = 1e-4, 1e-6
 
 
 class Returned(NamedTuple):
-    """The distance of a state from the first one of a run: the greatest |dx_n|, |dv_n|.
+    """The distance of a state from the first one of a run, see `distance`.
 
     - `apart`: the distance after 1 / k of the period, for each k in `FACTORS`.
     - `farthest`: the greatest distance at the ends of steps, which is the size of the orbit.
@@ -151,17 +153,19 @@ class Returned(NamedTuple):
             came_back &= jnp.asarray([forcing_periods % k == 0 for k in FACTORS])
         return jnp.max(jnp.where(came_back, jnp.asarray(FACTORS), 1))
 
-    def same(self, one: State, other: State) -> Bool[Array, ""]:
+    def same(self, model: AbstractModel, one: State, other: State) -> Bool[Array, ""]:
         """Whether closed orbits are the same, given a state of each on the same section.
 
         After a period doubling the orbit of twice the period and the original one are different,
         however close they are.
         """
-        return _distance(one, other) <= _SAME * self.farthest
+        return distance(model, one, other) <= _SAME * self.farthest
 
 
-def _distance(one: State, other: State) -> Float[Array, ""]:
-    gaps = [jnp.max(jnp.abs(a - b)) for a, b in zip(one, other, strict=True)]
+def distance(model: AbstractModel, one: State, other: State) -> Float[Array, ""]:
+    """The greatest |dx_n| / T, |dv_n|, T the model's unit of time."""
+    units = model.times_of(len(one))
+    gaps = [jnp.max(jnp.abs(a - b)) / c for a, b, c in zip(one, other, units, strict=True)]
     return functools.reduce(jnp.maximum, gaps)
 
 
@@ -199,12 +203,12 @@ class Returns(AbstractObserver):
             thetas = (times - t0) / jnp.where(t1 > t0, t1 - t0, 1.0)
 
             def away(theta: Array, goal: State) -> Array:
-                return _distance(step.state(theta), goal)
+                return distance(step.field, step.state(theta), goal)
 
             return lax.stop_gradient(jax.vmap(away, (0, axis))(thetas, goals))
 
         apart = lax.cond(unvmap_any(here), look, lambda: previous.apart)
-        farthest = jnp.maximum(previous.farthest, _distance(end, start))
+        farthest = jnp.maximum(previous.farthest, distance(step.field, end, start))
         return times, begun, Returned(jnp.where(here, apart, previous.apart), farthest)
 
     def read(self, accumulator: Any) -> Returned:
@@ -291,7 +295,7 @@ def flow(
     Forward derivatives are those of the steps with fixed sizes.  A period < 0 runs backward.
     """
     time = jnp.abs(period)
-    plan = _plan(solver, observers, rtol, time)
+    plan = _plan(field, solver, observers, rtol, time)
     progress = plan.begin(field, state, 0.0, time)
     progress, _ = plan.advance(field, progress, period, max_steps=MOST_STEPS)
     good = progress.result == Result.successful

@@ -39,8 +39,12 @@ _OF_ALL = {
     ),
     **dict.fromkeys(("parameter", "check_parameter", "description", "time_unit"), _OWN),
     **dict.fromkeys(("frictional", "friction_scales", "velocity_of", "can_be_cycle"), _OWN),
-    "natural_scales": "a model of your own is in natural units; leave it out.",
-    **dict.fromkeys(("variable", "state_in_words", "smallest_scale", "balanced"), _FOLLOWS),
+    **dict.fromkeys(
+        ("natural_scales", "sizes"), "a model of your own is in natural units; leave it out."
+    ),
+    **dict.fromkeys(
+        ("variable", "state_in_words", "smallest_scale", "balanced", "times_of"), _FOLLOWS
+    ),
     **dict.fromkeys(("check_locality", "dependence", "neighbours", "given_friction"), _FOLLOWS),
 }
 # Of a subclass of `AbstractOscillators`.

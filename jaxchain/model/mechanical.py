@@ -640,11 +640,12 @@ class MechanicalCells(AbstractCells):
 
         b = e . M^{-1} e and K = e . K e / (e . e)^2.  Of several contacts the shortest time, and
         the greatest of the others.  A load that varies counts by its value at t = 0 and rest.
-        Without contacts P = K |gap| of the stops.
+        Without contacts P = K |gap| of the stops; without these either the longest time of all
+        displacements, and 1.
         """
         touches = self.frictional_contacts or self.stops
         if not touches:
-            return super().natural_scales()
+            return self._times_alone()[1], jnp.ones(()), jnp.ones(())
         times, speeds, loads = [], [], []
         rest = (jnp.zeros(self.n or 1),) * (2 * self.d)
         for touch in touches:
@@ -657,6 +658,29 @@ class MechanicalCells(AbstractCells):
             loads.append(load)
         greatest = [_extreme(jnp.maximum, values) for values in (speeds, loads)]
         return _extreme(jnp.minimum, times), *greatest
+
+    def sizes(self, y: State) -> tuple[Any, ...]:
+        """T V of displacements and V of velocities, in the units of `natural_scales`.
+
+        Without contacts and stops the greatest ones of the state, where none moves by the others.
+        """
+        if self.frictional_contacts or self.stops:
+            time, velocity, _ = self.natural_scales()
+            return (time * velocity,) * self.d + (velocity,) * self.d
+        (short, long), parts = self._times_alone(), jnp.abs(jnp.stack(y))
+        q, v = jnp.max(parts[: self.d]), jnp.max(parts[self.d :])
+        return (jnp.maximum(q, short * v),) * self.d + (jnp.maximum(v, q / long),) * self.d
+
+    def _times_alone(self) -> tuple[Any, Any]:
+        """The shortest and the longest 1 / sqrt(b K) of the displacements."""
+        times = []
+        for u in range(self.d):
+            alone = Stop([float(i == u) for i in range(self.d)], 0.0)
+            share: Any = self._reach(alone)[u]
+            times.append(1.0 / jnp.sqrt(share * self._felt_stiffness(alone)))
+        return _extreme(jnp.minimum, [*map(jnp.min, times)]), _extreme(
+            jnp.maximum, [*map(jnp.max, times)]
+        )
 
     def _reach(self, touch: Contact | Stop) -> list[Any]:
         return [0.0 if part is None else part for part in self.inverse_mass(touch)]

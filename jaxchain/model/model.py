@@ -138,6 +138,15 @@ class AbstractModel(PrintedAsCall, eqx.Module):
         """(time, velocity, force) that count as 1, for steps, tolerances and rounding."""
         return 1.0, 1.0, 1.0
 
+    def sizes(self, y: State) -> tuple[Any, ...] | None:
+        """What counts as 1 of each variable of a cell, by a state; None: all are in such units."""
+        del y
+
+    def times_of(self, variables: int) -> tuple[Any, ...]:
+        """By variable of a cell, 1, or the unit of time where it has a velocity."""
+        kinds = (self.velocity_of(k) for k in range(variables))
+        return tuple(1.0 if kind is None else self.natural_scales()[0] for kind in kinds)
+
     def dependence(self, y: State) -> Dependence | None:
         """The variables on which each rate depends; None if that is not known."""
         del y

@@ -105,12 +105,11 @@ class Method(PrintedAsCall, eqx.Module):
             scale = None
         elif scale == ():
             scale = model.smallest_scale(n)
-        rtol = default_rtol(n, scale, solver) if self.rtol is None else self.rtol
-        max_step = self.max_step
-        if max_step is None:
-            max_step = MAX_STEP * model.natural_scales()[0]
+        time, unit, _ = model.natural_scales()
+        rtol = default_rtol(n, scale, solver, unit) if self.rtol is None else self.rtol
+        max_step = MAX_STEP * time if self.max_step is None else self.max_step
         check_tolerances(rtol, self.atol, max_step)
-        check_resolved(n, scale, rtol, self.atol, solver)
+        check_resolved(n, scale, rtol, self.atol, solver, unit)
         check_count("max_steps", self.max_steps)
         atol = 0.1 * rtol if self.atol is None else self.atol
         return Method(solver, rtol, atol, max_step, self.max_steps)
@@ -206,7 +205,7 @@ def _instead(solver: Any) -> str:
 
 
 def choose_solver(
-    field: AbstractModel, rtol: float, max_step: float = MAX_STEP, state: Start | None = None
+    field: AbstractModel, rtol: float, max_step: float | None = None, state: Start | None = None
 ) -> AbstractStructuredRosenbrock:
     """Rodas4 down to rtol 1e-7 and Rodas5P below, with the linear solve that fits the coupling."""
     solver = Rodas4() if rtol >= 1e-7 else Rodas5P()
@@ -217,7 +216,7 @@ def fit_linear_solve(
     solver: AbstractStructuredRosenbrock,
     field: AbstractModel,
     rtol: float,
-    max_step: float = MAX_STEP,
+    max_step: float | None = None,
     state: Start | None = None,
 ) -> AbstractStructuredRosenbrock:
     """The solver with the fewest sweeps that do not slow down a run, or with the exact solve.
@@ -228,7 +227,9 @@ def fit_linear_solve(
     the coupling is measured at `state`; if it is traced, the solve is exact.
     """
     # A vibration of period 2 pi takes steps of about 0.1 at 1e-6.
-    step = min(max_step, 0.1 * (rtol / 1e-6) ** (1 / (solver.method_order + 1)))
+    time = _concrete(field.natural_scales()[0], 1.0)
+    step = 0.1 * time * (rtol / 1e-6) ** (1 / (solver.method_order + 1))
+    step = min(MAX_STEP * time if max_step is None else max_step, step)
     if isinstance(field, AbstractCells):
         state = state() if callable(state) else state
         if state is None or is_traced(field, state):
@@ -269,45 +270,46 @@ def _margin(solver: Any) -> float:
 Scale: TypeAlias = tuple[Any, Any] | None  # (width, speed), see `AbstractModel.smallest_scale`
 
 
-def default_rtol(n: int, scale: Scale, solver: Any = None) -> Any:
+def default_rtol(n: int, scale: Scale, solver: Any = None, unit: Any = 1.0) -> Any:
     """1e-6, or less where a width is so narrow that a sticking mass needs it.
 
-    width / [3 sqrt(min(n, 20)) (|v_d| + 0.1)], for the least width and the greatest speed;
-    a tenth of that for a stock `solver`.
+    width / [3 sqrt(min(n, 20)) (|v_d| + 0.1 V)], for the least width and the greatest speed, V the
+    natural velocity; a tenth of that for a stock `solver`.
     """
     if scale is None:
         return USUAL_RTOL
     width, belt_speed = scale
-    traced = is_traced(width, belt_speed)
+    traced = is_traced(width, belt_speed, unit)
     xp: Any = jnp if traced else np
-    width, belt_speed = (a if traced else np.asarray(a) for a in (width, belt_speed))
-    speed = xp.max(xp.abs(belt_speed)) + 0.1
+    width, belt_speed, unit = (a if traced else np.asarray(a) for a in (width, belt_speed, unit))
+    speed = xp.max(xp.abs(belt_speed)) + 0.1 * unit
     needed = xp.min(width) / (_margin(solver) * _CLEAN * min(n, _NORM_MASSES) ** 0.5 * speed)
     rtol = xp.minimum(USUAL_RTOL, needed)
     return lax.stop_gradient(rtol) if traced else float(rtol)
 
 
 def check_resolved(
-    n: int, scale: Scale, rtol: ArrayLike, atol: ArrayLike | None, solver: Any = None
+    n: int, scale: Scale, rtol: ArrayLike, atol: ArrayLike | None, solver: Any, unit: Any
 ) -> None:
     """Raises `ValueError` if the tolerance on velocities is too coarse for the width.
 
-    A mass sticks with |w| < eps, about.  If the tolerance on its velocity, atol + rtol |v_d|, is
+    A mass sticks with |w| < eps, about.  If the tolerance on its velocity, atol V + rtol |v_d|, is
     greater, it need not stick where it should; up to there the error of a run is a few times its
     tolerance (see `SwitchingController`).  The norm of the error is a mean over masses, so one of
     n masses may have sqrt(n) times the tolerance; the norm limits n to 20.
     """
-    if scale is None or is_traced(scale, rtol, atol):
+    if scale is None or is_traced(scale, rtol, atol, unit):
         return
     width, belt_speed = scale
     per_speed = np.max(np.abs(np.asarray(belt_speed)))
     least, rtol = float(np.min(np.asarray(width))), float(np.asarray(rtol))
     allowed = least / (_margin(solver) * _LAYER * min(n, _NORM_MASSES) ** 0.5)
     given = 0.1 * rtol if atol is None else float(np.asarray(atol))
-    if given + rtol * per_speed <= allowed:
+    unit = float(unit)
+    if given * unit + rtol * per_speed <= allowed:
         return
-    tighter = allowed / (per_speed + 0.1) / 3
-    remedies = [f"a width of {3 * (given + rtol * per_speed) / allowed * least:.0e}"]
+    tighter = allowed / (per_speed + 0.1 * unit) / 3
+    remedies = [f"a width of {3 * (given * unit + rtol * per_speed) / allowed * least:.0e}"]
     if tighter >= LEAST_RTOL:
         remedies.insert(0, f"`rtol` = {tighter:.0e} (`atol` a tenth of it)")
     raise ValueError(

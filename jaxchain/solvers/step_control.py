@@ -66,8 +66,8 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
     if the tolerance on velocities is not far below the width.
 
     The other controller decides everything else: acceptance, tolerances, and the step after a
-    rejected one.  In a ring of thousands a single mass hardly affects the norm of the error at a
-    loose tolerance.
+    rejected one.  It sees states in the units of `field.sizes`, the greatest so far.  In a ring of
+    thousands a single mass hardly affects the norm of the error at a loose tolerance.
 
     **Arguments:**
 
@@ -156,7 +156,21 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
                 "velocity), both of shape (n,), or of other cells a tuple of such arrays, but has "
                 f"{jtu.tree_structure(y0)}."
             )
-        return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        if (sizes := self._sizes(y0)) is None:
+            return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+
+        def scaled(t: Any, y: State, args: Any) -> State:
+            return _over(terms.vf(t, _times(y, sizes), args), sizes)
+
+        own: Any = dfx.ODETerm(scaled)  # pyright: ignore[reportArgumentType]
+        begin = _over(y0, sizes)
+        end, state = self.controller.init(own, t0, t1, begin, dt0, args, func, error_order)
+        return end, (state, sizes)
+
+    def _sizes(self, y: State) -> tuple[Array, ...] | None:
+        """What counts as 1 of each variable; 0 where nothing has moved yet."""
+        sizes = lax.stop_gradient(self.field.sizes(y))
+        return None if sizes is None else tuple(map(jnp.asarray, sizes))
 
     def adapt_step_size(
         self, t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
@@ -169,9 +183,16 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         ]
         for moved, contact in moves:
             y_error = self._weighted(y_error, contact, *moved)
+        y, y1, sizes = y0, y1_candidate, self._sizes(y1_candidate)
+        if sizes is not None:
+            controller_state, so_far = controller_state
+            y, y1, y_error = (_over(parts, so_far) for parts in (y, y1, y_error))
         kept, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
-            t0, t1, y0, y1_candidate, args, y_error, error_order, controller_state
+            t0, t1, y, y1, args, y_error, error_order, controller_state
         )
+        if sizes is not None:  # the greatest so far
+            pairs = zip(so_far, sizes, strict=True)
+            state = state, tuple(jnp.where(kept, jnp.fmax(a, b), a) for a, b in pairs)
         for moved, contact in moves:
             bend = self._curvature(contact, moved[-1], y0, y1_candidate)
             longest = jnp.where(kept, self._longest_step(bend, *moved), jnp.inf)
@@ -233,3 +254,11 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         if isinstance(self.controller, dfx.PIDController) and self.controller.dtmin is not None:
             shortest = jnp.maximum(shortest, lax.stop_gradient(self.controller.dtmin))
         return shortest
+
+
+def _over(y: State, sizes: tuple[Array, ...]) -> State:
+    return tuple(a / jnp.where(b > 0, b, 1.0) for a, b in zip(y, sizes, strict=True))
+
+
+def _times(y: State, sizes: tuple[Array, ...]) -> State:
+    return tuple(a * jnp.where(b > 0, b, 1.0) for a, b in zip(y, sizes, strict=True))

@@ -1,0 +1,108 @@
+"""Cells in any units: what counts as 1 follows from the cells and their motion."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxchain import continue_cycle, find_limit_cycle, simulate
+from jaxchain.model import ExponentialDecay, MechanicalCells, StaticKinetic, Stop, TanhFriction
+
+# Metres and seconds of a squealing pad, and of something as slow as a glacier.
+UNITS = ((1e-9, 1e-4), (1e6, 1e5))
+
+
+class Cubic(eqx.Module):
+    """A hardening spring."""
+
+    factor: jax.Array
+
+    def __call__(self, q, v):
+        return (-self.factor * q[0] ** 3,)
+
+
+class Pushing(eqx.Module):
+    """The damper of van der Pol."""
+
+    gain: jax.Array
+    loss: jax.Array
+
+    def __call__(self, q, v):
+        return (self.gain * v[0] - self.loss * q[0] ** 2 * v[0],)
+
+
+def sticking(length, time, smoothed):
+    speed, force = length / time, length / time**2
+    law = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5 * speed)
+    friction = TanhFriction(law, 1e-2 * speed) if smoothed else law
+    matrix = np.array([[1.0, 0.3], [0.3, 2.0]]) / time**2
+    numbers = {"damping": 0.1 / time, "normal_load": force, "belt_speed": 0.5 * speed}
+    return MechanicalCells(matrix, friction=friction, **numbers), "belt_speed", speed
+
+
+def hitting(length, time):
+    force = length / time**2
+    stops = [Stop(1.0, 0.6 * length, 0.3), Stop(-1.0, 0.4 * length, 0.7)]
+    cells = MechanicalCells(
+        time**-2, damping=0.05 / time, friction=StaticKinetic(0.3, 0.2), normal_load=force,
+        belt_speed=0.3 * length / time, force=0.9 * force, frequency=0.8 / time, stops=stops,
+    )  # fmt: skip
+    return cells, "force", force
+
+
+def forced(length, time):
+    force = length / time**2
+    spring = Cubic(jnp.asarray(0.3 * force / length**3))
+    drive = {"force": 0.5 * force, "frequency": 1.3 / time}
+    cells = MechanicalCells(time**-2, damping=0.1 / time, local_force=spring, **drive)
+    return cells, "force", force
+
+
+def pushed(length, time):
+    law = Pushing(jnp.asarray(0.3 / time), jnp.asarray(0.3 / time / length**2))
+    return MechanicalCells(time**-2, local_force=law), "stiffness", time**-2
+
+
+CELLS = {
+    "dry": lambda *units: sticking(*units, smoothed=False),
+    "smoothed": lambda *units: sticking(*units, smoothed=True),
+    "with stops": hitting,
+    "forced": forced,
+    "pushed": pushed,
+}
+
+
+def seen(make, length, time):
+    """A run, a cycle and a branch, in these units."""
+    cells, name, unit = make(length, time)
+    sizes = (length,) * cells.d + (length / time,) * cells.d
+    run = simulate(cells, tuple(jnp.full(1, 0.2 * size) for size in sizes), 60.0 * time)
+    cycle = find_limit_cycle(cells, run)
+    branch = continue_cycle(cycle, parameter=name, bounds=(0.4 * unit, 1.1 * unit), max_points=6)
+    state = [float(part[0] / size) for part, size in zip(cycle.state, sizes, strict=True)]
+    multipliers = np.sort(np.abs(cycle.multipliers))
+    special = [(point.kind, point.parameter / unit) for point in branch.special]
+    lasts = float(run.state[0][0]) / length, float(cycle.period) / time
+    ends = branch.parameter[-1] / unit, branch.amplitude[-1, 0] / length
+    return run.steps, cycle.stable, [*lasts, *state, *multipliers], ends, special
+
+
+QUICK = ("smoothed", "with stops", "forced")
+
+
+@pytest.mark.parametrize(
+    "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.long) for k in CELLS]
+)
+def test_the_same_cells_in_other_units_move_alike(kind):
+    steps, stable, numbers, ends, special = seen(CELLS[kind], 1.0, 1.0)
+    for units in UNITS:
+        others = seen(CELLS[kind], *units)
+        assert abs(int(others[0]) - int(steps)) <= 0.02 * int(steps) + 1
+        assert others[1] == stable
+        np.testing.assert_allclose(others[2], numbers, rtol=1e-6, atol=1e-7)
+        np.testing.assert_allclose(others[3], ends, rtol=1e-4)
+        assert [kind for kind, _ in others[4]] == [kind for kind, _ in special]
+        np.testing.assert_allclose(
+            [value for _, value in others[4]], [value for _, value in special], rtol=1e-9
+        )
