@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import jax.tree_util as jtu
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
 from .._checks import (
@@ -29,6 +30,9 @@ from .._checks import (
 )
 from .._printing import PrintedAsCall
 from .measured import read_rows
+
+# A time that no run reaches.
+_FOR_EVER = 1e100
 
 
 class Table(PrintedAsCall, eqx.Module):
@@ -119,34 +123,44 @@ class Table(PrintedAsCall, eqx.Module):
 
     def __call__(self, t: Any) -> Float[Array, "..."]:
         """The value, or d of them, at a time."""
-        last = len(self.t) - 1
-        if self.period is None:
-            now = jnp.clip(t, self.t[0], self.t[-1])
-            count = last
-        else:
-            now = self.t[0] + jnp.mod(t - self.t[0], self.period)
-            count = last + 1
-        i = jnp.clip(jnp.searchsorted(self.t, now, side="right") - 1, 0, count - 1)
-        a, b = self._time(i), self._time(i + 1)
+        once = self.period is None
+        now = t if once else t - jnp.floor((t - self.t[0]) / self.period) * self.period
+        i = self._passed(now)
+        a, b = self._time(i - 1), self._time(i)
+        last = jnp.where(i < len(self.t), b, _FOR_EVER) if once else b
         # A step of a Taylor series ends where this changes.
-        s = jnp.where(now < b, now - a, now - a) / (b - a)
-        first, second = self._value(i), self._value(i + 1)
+        s = jnp.where(now < last, now - a, now - a) / jnp.where(b > a, b - a, 1.0)
+        first, second = self._value(i - 1), self._value(i)
         if self.kind == "linear":
             return first + s * (second - first)
-        rise, fall = (b - a) * self._slope(i), (b - a) * self._slope(i + 1)
+        rise, fall = (b - a) * self._slope(i - 1), (b - a) * self._slope(i)
         change = second - first
         bend = 3.0 * change - 2.0 * rise - fall
         return first + s * (rise + s * (bend + s * (rise + fall - 2.0 * change)))
 
+    def _passed(self, t: Any) -> Array:
+        """The number of times that are not after t, found at once where they are equidistant."""
+        now, size = lax.stop_gradient(jnp.asarray(t, float)), len(self.t)
+        if now.ndim:
+            return jnp.searchsorted(self.t, now, side="right")
+        share = jnp.clip((now - self.t[0]) / (self.t[-1] - self.t[0]), 0.0, 1.0)
+        i = (share * (size - 1)).astype(jnp.int32) + 1
+        after = (now >= _entry(self.t, jnp.minimum(i, size - 1))) & (i < size)
+        return lax.cond(
+            (now < _entry(self.t, i - 1)) | after,
+            lambda: jnp.searchsorted(self.t, now, side="right").astype(jnp.int32),
+            lambda: i,
+        )
+
     def _time(self, i: Any) -> Any:
         """Of a knot, also of the next and of the previous period."""
         if self.period is None:
-            return self.t[jnp.clip(i, 0, len(self.t) - 1)]
-        return self.t[i % len(self.t)] + (i // len(self.t)) * self.period
+            return _entry(self.t, jnp.clip(i, 0, len(self.t) - 1))
+        return _entry(self.t, i % len(self.t)) + (i // len(self.t)) * self.period
 
     def _value(self, i: Any) -> Any:
         size = len(self.t)
-        return self.values[jnp.clip(i, 0, size - 1) if self.period is None else i % size]
+        return _entry(self.values, jnp.clip(i, 0, size - 1) if self.period is None else i % size)
 
     def _slope(self, i: Any) -> Any:
         """The slope of the parabola through three neighbours; at an end, of the chord."""
@@ -161,6 +175,11 @@ class Table(PrintedAsCall, eqx.Module):
         total = jnp.where(h + g > 0, h + g, 1.0)
         both = (g * left + h * right) / total
         return jnp.where(h > 0, jnp.where(g > 0, both, left), right)
+
+
+def _entry(array: Array, i: Any) -> Array:
+    """array[i] for 0 <= i < size, which is not checked again: it is a good part of a dry step."""
+    return array.at[i].get(mode="promise_in_bounds", wrap_negative_indices=False)
 
 
 class OfTime(PrintedAsCall, eqx.Module):

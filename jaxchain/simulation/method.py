@@ -51,7 +51,7 @@ class Method(PrintedAsCall, eqx.Module):
       with `EventDriven()`, which ignores the width.
     - `rtol`: the relative tolerance of a step, 1e-6, or less where friction changes its sign
       within a narrow width: width / [3 sqrt(min(n, 20)) (|v_d| + 0.1)].
-    - `atol`: the absolute one, rtol / 10.
+    - `atol`: the absolute one, rtol / 10, in the units of `MechanicalCells`, see its `sizes`.
     - `max_step`: the longest step, 0.5 (dimensionless time; a period is about 2 pi), of
       `MechanicalCells` with friction times 1 / sqrt(k/m) of the contact.
     - `max_steps`: the greatest number of steps, accepted or rejected; without it no limit.

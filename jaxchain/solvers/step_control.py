@@ -162,7 +162,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         def scaled(t: Any, y: State, args: Any) -> State:
             return _over(terms.vf(t, _times(y, sizes), args), sizes)
 
-        own: Any = dfx.ODETerm(scaled)  # pyright: ignore[reportArgumentType]
+        own: Any = dfx.ODETerm(scaled)
         begin = _over(y0, sizes)
         end, state = self.controller.init(own, t0, t1, begin, dt0, args, func, error_order)
         return end, (state, sizes)
@@ -183,12 +183,11 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         ]
         for moved, contact in moves:
             y_error = self._weighted(y_error, contact, *moved)
-        y, y1, sizes = y0, y1_candidate, self._sizes(y1_candidate)
-        if sizes is not None:
-            controller_state, so_far = controller_state
-            y, y1, y_error = (_over(parts, so_far) for parts in (y, y1, y_error))
+        sizes, seen = self._sizes(y1_candidate), (y0, y1_candidate, y_error)
+        controller_state, so_far = (controller_state, ()) if sizes is None else controller_state
+        y, y1, error = seen if sizes is None else (_over(part, so_far) for part in seen)
         kept, next_t0, next_t1, made_jump, state, result = self.controller.adapt_step_size(
-            t0, t1, y, y1, args, y_error, error_order, controller_state
+            t0, t1, y, y1, args, error, error_order, controller_state
         )
         if sizes is not None:  # the greatest so far
             pairs = zip(so_far, sizes, strict=True)
@@ -256,7 +255,7 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
         return shortest
 
 
-def _over(y: State, sizes: tuple[Array, ...]) -> State:
+def _over(y: Any, sizes: tuple[Array, ...]) -> State:
     return tuple(a / jnp.where(b > 0, b, 1.0) for a, b in zip(y, sizes, strict=True))
 
 
