@@ -11,7 +11,10 @@ import numpy as np
 
 import jaxchain
 
+from ..model.contacts import Contact, Stop
+from ..model.drives import OfTime, Table
 from ..model.friction import AbstractFriction
+from ..model.mechanical import Added
 from ..scenes.files import to_toml
 from ..scenes.tables import LAWS, LEAST
 from .session import OTHER_WIDTH, WINDOW, WINDOWS, Session
@@ -86,34 +89,38 @@ def snippet(session: Session) -> str:
 def scene(session: Session) -> str:
     """A scene file that begins with the present state.
 
-    **Raises:** `ValueError` for a model that no scene names, or that holds functions or matrices.
+    **Raises:** `ValueError` for a model that no scene names, or that holds functions.
     """
     model, state = session.model, [_listed(part) for part in session.run.state]
     table: dict[str, Any] = {"kind": type(model).__name__, "n": session.n}
     for name, part in _arguments(model).items():
-        table[name] = part
-        if isinstance(part, AbstractFriction):
-            table[name] = _law(part)
-        elif isinstance(part, jax.Array):
-            table[name] = _listed(part)
-        if not isinstance(table[name], str | float | int | list | dict) or np.ndim(part) > 1:
+        if isinstance(part, tuple) and not part:
+            continue
+        try:
+            table[name] = _entry(part)
+        except ValueError as error:
             raise ValueError(
                 f"`{name}` of `{table['kind']}` cannot stand in a scene file: take the program."
-            )
+            ) from error
     time = {"transient": 0.0, "window": WINDOW * session.run.unit}
     experiment: dict[str, Any] = {"model": table, "time": time}
+    if model.dry:
+        experiment["numerics"] = {"model": "dry"}
     if table["kind"] == "Chain":
+        table["friction"].setdefault("width", OTHER_WIDTH)
         rest = np.asarray(model.equilibrium()[0])
         experiment["initial"] = {
             "kind": "excited", "excited": session.n, "pattern": "in-phase",
             "displacement": _listed(state[0] - rest), "velocity": state[1],
         }  # fmt: skip
-        if model.dry:
-            experiment["numerics"] = {"model": "dry"}
     else:
         names = [variable.name for variable in model.variables] or map(str, range(len(state)))
         experiment["initial"] = dict(zip(names, state, strict=True))
-        experiment["sweep"] = {session.axis: [session.value(str(session.axis))]}
+        factors = {
+            name: [float(part.factor)] for name, part in (vars(model).get("plus") or {}).items()
+        }
+        axis = {session.axis: [session.value(str(session.axis))]} if session.axis else {}
+        experiment["sweep"] = factors | axis
     title = "A state found in the explorer"
     return to_toml({"title": title, "experiment": {"present": experiment}}) + "\n"
 
@@ -123,11 +130,27 @@ def _listed(part: Any) -> Any:
     return np.where(np.abs(part) < LEAST, 0.0, part).tolist()
 
 
-def _law(friction: Any) -> dict[str, Any]:
-    """The table of a friction law."""
-    names = {kind: name for name, kind in LAWS.items()}
-    numbers = {k: np.asarray(v).tolist() for k, v in friction.parameters().items()}
-    return {"law": names.get(type(friction.law), "custom"), "width": OTHER_WIDTH, **numbers}
+def _entry(part: Any) -> Any:
+    """What a scene has for an argument of a model, or of a part of one."""
+    if isinstance(part, str | int | float):
+        return part
+    if isinstance(part, jax.Array | np.ndarray):
+        return _listed(part)
+    if isinstance(part, AbstractFriction):
+        names = {kind: name for name, kind in LAWS.items()}
+        numbers = {k: np.asarray(v).tolist() for k, v in part.parameters().items()}
+        return {"law": names.get(type(part.law), "custom"), **numbers}
+    if isinstance(part, tuple):
+        return [_entry(one) for one in part]
+    if isinstance(part, Mapping):
+        return {name: _entry(one) for name, one in part.items()}
+    if isinstance(part, Added):  # its factor is swept
+        return _entry(part.matrices)
+    if isinstance(part, OfTime):
+        return _entry(part.function)
+    if isinstance(part, Contact | Stop | Table):
+        return {name: _entry(one) for name, one in _arguments(part).items()}
+    raise ValueError(f"A scene has no `{type(part).__name__}`.")
 
 
 def link(session: Session) -> dict[str, str]:

@@ -53,7 +53,7 @@ class Method(PrintedAsCall, eqx.Module):
       within a narrow width: width / [3 sqrt(min(n, 20)) (|v_d| + 0.1)].
     - `atol`: the absolute one, rtol / 10, in the units of `MechanicalCells`, see its `sizes`.
     - `max_step`: the longest step, 0.5 (dimensionless time; a period is about 2 pi), of
-      `MechanicalCells` with friction times 1 / sqrt(k/m) of the contact.
+      `MechanicalCells` times 1 / sqrt(k/m) of the contact, or without one of what is slowest.
     - `max_steps`: the greatest number of steps, accepted or rejected; without it no limit.
 
     **Raises:** `ValueError` for impossible numbers when a run begins; for tolerances on a velocity

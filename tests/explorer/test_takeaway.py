@@ -11,7 +11,14 @@ import pytest
 from jaxchain import equation_8
 from jaxchain.explorer import Session
 from jaxchain.explorer.takeaway import follow_link, link, scene, snippet, table
-from jaxchain.model import MechanicalCells, Table
+from jaxchain.model import (
+    Contact,
+    ExponentialDecay,
+    MechanicalCells,
+    StaticKinetic,
+    Stop,
+    Table,
+)
 from jaxchain.model.ready_made import VanDerPol
 from jaxchain.scenes import load_scene
 from jaxchain.scenes.building import build
@@ -49,6 +56,20 @@ MODELS = {
         ),
         tuple(np.zeros((4, 2))),
     ),
+    "a block on a block, and a stop": lambda _: (
+        MechanicalCells(
+            [[1.0, -0.2], [-0.2, 2.0]],
+            mass=[1.0, 0.5],
+            names=["lower", "upper"],
+            plus={"softer": [[0.3, 0.0], [0.0, 0.0]]},
+            contacts=[
+                Contact((1, 0), StaticKinetic(0.5, 0.3), Table([0.0, 1.0], [1.0, 1.5], 2.0), 0.2),
+                Contact((-1, 1), ExponentialDecay(0.4, 0.2, 0.5), [0.5, 0.6]),
+            ],
+            stops=[Stop((0, 1), [0.4, 0.5], 0.7)],
+        ).with_(softer=0.25),
+        tuple(np.full((4, 2), 0.1)),
+    ),
     "van der Pol": lambda chains: (VanDerPol(1.0), tuple(np.ones((2, 2)))),
 }
 
@@ -70,7 +91,7 @@ def test_a_model_with_a_function_has_no_program():
             write(session)
 
 
-@pytest.mark.parametrize("name", ["smoothed", "dry chain", "van der Pol"])
+@pytest.mark.parametrize("name", ["smoothed", *MODELS])
 def test_the_scene_begins_with_the_state(name, session, chains, tmp_path):
     session = session if name == "smoothed" else Session(*MODELS[name](chains))
     file = tmp_path / "explored.toml"
@@ -79,6 +100,10 @@ def test_the_scene_begins_with_the_state(name, session, chains, tmp_path):
     built = build(loaded)["present"]
     for a, b in zip(built.initial(built.model), session.run.state, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-14)
+    swept = loaded.scene.experiment["present"].sweep or {}
+    numbers = built.model.with_(**{key: v[0] for key, v in swept.items()}).parameters()
+    for key, value in session.model.parameters().items():
+        np.testing.assert_allclose(numbers[key], value, rtol=1e-12, atol=1e-14)
     assert (loaded.scene.experiment["present"].numerics.model == "dry") == session.model.dry
 
 
