@@ -139,7 +139,8 @@ def _entry(part: Any) -> Any:
     if isinstance(part, AbstractFriction):
         names = {kind: name for name, kind in LAWS.items()}
         numbers = {k: np.asarray(v).tolist() for k, v in part.parameters().items()}
-        return {"law": names.get(type(part.law), "custom"), **numbers}
+        friction: Any = part
+        return {"law": names.get(type(friction.law), "custom"), **numbers}
     if isinstance(part, tuple):
         return [_entry(one) for one in part]
     if isinstance(part, Mapping):

@@ -123,11 +123,12 @@ class Table(PrintedAsCall, eqx.Module):
 
     def __call__(self, t: Any) -> Float[Array, "..."]:
         """The value, or d of them, at a time."""
-        once = self.period is None
-        now = t if once else t - jnp.floor((t - self.t[0]) / self.period) * self.period
+        now, period = t, self.period
+        if period is not None:
+            now = t - jnp.floor((t - self.t[0]) / period) * period
         i = self._passed(now)
         a, b = self._time(i - 1), self._time(i)
-        last = jnp.where(i < len(self.t), b, _FOR_EVER) if once else b
+        last = b if period is not None else jnp.where(i < len(self.t), b, _FOR_EVER)
         # A step of a Taylor series ends where this changes.
         s = jnp.where(now < last, now - a, now - a) / jnp.where(b > a, b - a, 1.0)
         first, second = self._value(i - 1), self._value(i)
