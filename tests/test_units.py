@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import continue_cycle, find_limit_cycle, simulate
+from jaxchain import continue_cycle, find_limit_cycle, simulate, verdict
 from jaxchain.model import ExponentialDecay, MechanicalCells, StaticKinetic, Stop, TanhFriction
 
 # Metres and seconds of a squealing pad, and of something as slow as a glacier.
@@ -106,3 +106,16 @@ def test_the_same_cells_in_other_units_move_alike(kind):
         np.testing.assert_allclose(
             [value for _, value in others[4]], [value for _, value in special], rtol=1e-9
         )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["smoothed", "pushed", "forced"])
+def test_a_verdict_does_not_depend_on_the_units(kind):
+    found = []
+    for length, time in ((1.0, 1.0), *UNITS):
+        cells, _, _ = CELLS[kind](length, time)
+        start = tuple(jnp.full(1, 0.2 * s) for s in [length] * cells.d + [length / time] * cells.d)
+        judged = verdict(cells, start, seeds=1)
+        found.append((judged.verdict, round(float(judged.runs[-1].period) / time, 6)))
+    assert found[0][0] == "periodic"
+    assert found == found[:1] * len(found)

@@ -34,6 +34,7 @@ from .._statistics import mean_interval
 from .._types import ArrayLike, Given, ScalarLike, StateLike
 from ..cycles.floquet import check_force
 from ..cycles.limit_cycle import ClosedOrbit, StateEquations
+from ..cycles.orbit import units_of
 from ..model.arguments import as_model, as_state
 from ..model.model import AbstractModel
 from ..observers.amplitude import Amplitude
@@ -191,6 +192,8 @@ class Verdict(Printed):
 @dataclass(frozen=True)
 class Criteria:
     """The thresholds, with their reasons.
+
+    Of `MechanicalCells` they count in the units of `sizes` and `natural_scales`.
 
     - `rest`: amplitude (x0) of a mass that does not move: above rounding, below any vibration.
       Of other cells it applies to each of the m variables, in its unit; a variable below it
@@ -539,7 +542,7 @@ _BLOCKS = 20
 class _VerdictTask(eqx.Module):
     """Settings of all runs; `window`: of a record; `time`, `count`: of exponents.
 
-    `forced`: the period of the force, or None.
+    `forced`: the period of the force, or None; `sizes`: what counts as 1 of each variable.
     """
 
     chain: AbstractModel
@@ -547,6 +550,7 @@ class _VerdictTask(eqx.Module):
     window: Array
     time: Array
     forced: Array | None
+    sizes: Array
     rtol: float = eqx.field(static=True)
     peaks: int = eqx.field(static=True)  # kept per mass and window
     count: int = eqx.field(static=True)
@@ -678,7 +682,8 @@ def judge_orbit(
     amplitude, reference = record.amplitude, trial.reference
     half, n = len(amplitude) // 2, amplitude.shape[1]
     size = record.sizes[-1]
-    moves = size >= criteria.rest
+    least = criteria.rest * np.asarray(task.sizes)[: len(size)]
+    moves = size >= least
     energies = np.asarray(energy(jnp.asarray(amplitude)))[half:]
     mean, deviation = float(np.mean(energies)), float(np.std(energies))
     evidence = replace(evidence, energy=mean, energy_deviation=deviation)
@@ -687,7 +692,7 @@ def judge_orbit(
         return replace(evidence, active=still, kind="rest", locked_at=evidence.time, spread=0.0)
     # The size of the orbit in each component; one that does not move is noise.
     scale = np.repeat(np.where(moves, size, np.inf), n) if len(moves) > 1 else size
-    active = amplitude[-1] > 0.5 * max(size[0], criteria.rest)
+    active = amplitude[-1] > 0.5 * max(size[0], least[0])
     masses = np.flatnonzero(active)
     evidence = replace(evidence, active=active)
     if masses.size:
@@ -727,7 +732,8 @@ def judge_orbit(
         # What does not move must close, too: as well as the smallest of what moves.
         sizes = np.where(np.isfinite(scale), scale, np.min(scale))
         rtol = min(task.rtol, 1e-9)
-        equations = StateEquations(task.chain, rtol, task.solver, len(start), n)
+        units = units_of(task.chain, start)
+        equations = StateEquations(task.chain, rtol, task.solver, len(start), n, units=units)
         orbit = equations.close(start, to_float(period), to_float(sizes))
         if not (orbit.gap < criteria.gap and orbit.distance < 4 * criteria.near):
             return evidence
@@ -806,14 +812,14 @@ def verdicts(
     model: AbstractModel,
     initials: Given[ArrayLike],
     *,
-    noise: Sequence[float] = (1e-8, 1e-3),
+    noise: Sequence[float] | None = None,
     seeds: Any = 3,
-    first: Any = 2000.0,
-    longest: Given[ScalarLike] = 32000.0,
-    exponent_time: Given[ScalarLike] = 10000.0,
+    first: Any = None,
+    longest: Given[ScalarLike | None] = None,
+    exponent_time: Given[ScalarLike | None] = None,
     exponent_runs: Given[int] = 3,
     count: Given[int] = 3,
-    window: Given[ScalarLike] = 50.0,
+    window: Given[ScalarLike | None] = None,
     solver: Given[Solver | None] = None,
     rtol: Given[ScalarLike] = 1e-6,
     criteria: Criteria | None = None,
@@ -839,14 +845,16 @@ def verdicts(
     - `model`: a `Chain`, `AbstractOscillators` or `AbstractCells`; `initials`: (x, v), both of
       shape (states, n), or all m arrays of other cells.  Forced ones start at t = 0.
     - `noise`: standard deviations, ascending, in the units of the numbers: far below the size of
-      the motion; () runs each state once.
-    - `first`, `longest`: the run is examined after `first` time units, and whenever its time has
-      doubled, up to `longest`; rounded up to chunks of 20 windows.
-    - `exponent_time`: window for exponents, after a fifth of it for directions to settle;
+      the motion; () runs each state once.  1e-8 and 1e-3, of `MechanicalCells` in the units of
+      their `sizes`.
+    - `first`, `longest`: the run is examined after the time `first`, and whenever its time has
+      doubled, up to `longest`; rounded up to chunks of 20 windows.  2000 and 32000, like all
+      times here in the unit of `natural_scales`.
+    - `exponent_time` (10000): window for exponents, after a fifth of it for directions to settle;
       `exponent_runs`: the number of runs of a state to measure, first the one without noise, then
       the noisiest; `count`: the number of exponents.
-    - `window`: time over which amplitudes are measured, at least five periods; of a forced motion
-      rounded up to a multiple of the period of the force, at least five of them.
+    - `window` (50): time over which amplitudes are measured, at least five periods; of a forced
+      motion rounded up to a multiple of the period of the force, at least five of them.
     - `solver`, `rtol`: as for `simulate`.
     - `criteria`: the thresholds; `key`: of the noise.
     - `lanes`: the number of runs side by side on each device; the last bits depend on it, but not
@@ -884,11 +892,18 @@ def verdicts(
     check_whole("key", key, 0, remedy="it is the seed of the noise.")
     check_flag("progress", progress)
     check_kind("description", description, str, "the name of the progress bar")
+    time = float(model.natural_scales()[0])
+    sizes = model.sizes(first_state) or (1.0,) * len(first_state)
+    sizes = np.array([float(size) or 1.0 for size in sizes])
+    usual = (first, 2000.0), (longest, 32000.0), (exponent_time, 10000.0), (window, 50.0)
+    first, longest, exponent_time, window = (b * time if a is None else a for a, b in usual)
     times = (first, "first"), (longest, "longest"), (exponent_time, "exponent_time")
     for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")
     check_positive_number("rtol", rtol, "1e-6 is usual.")
     solver = Method(solver, rtol).checked(model, first_state[0].size).solver
+    units = sizes if noise is None else np.ones_like(sizes)
+    noise = (1e-8, 1e-3) if noise is None else noise
     if np.shape(to_float(noise, "noise", _NOISE)) != (len(np.ravel(noise)),):
         raise ValueError(f"Argument `noise` must be a sequence, but is {shown(noise)}: {_NOISE}")
     check_nonnegative("noise", noise, _NOISE)
@@ -901,15 +916,17 @@ def verdicts(
         window = max(math.ceil(window / forced), MOST_RETURNS + 1) * forced
         whole = math.ceil((1.0 + _SETTLE) * exponent_time / forced) * forced
         exponent_time = whole / (1.0 + _SETTLE)
-    trials = _starts(states, noise, seeds, key, math.nan if forced is None else forced)
+    criteria = replace(criteria, zero=criteria.zero / time)
+    trials = _starts(states, noise, units, seeds, key, math.nan if forced is None else forced)
     task = _VerdictTask(
         model,
         solver,
         jnp.asarray(float(window)),
         jnp.asarray(float(exponent_time)),
         None if forced is None else jnp.asarray(forced),
+        jnp.asarray(sizes),
         float(rtol),
-        peaks=int(window / _LEAST_PERIOD) + 2,
+        peaks=int(window / (_LEAST_PERIOD * time)) + 2,
         count=min(int(count), sum(part.size for part in first_state)),
     )
     lanes = min(lanes, len(trials))
@@ -960,13 +977,17 @@ def _judged(runs: Sequence[Evidence], criteria: Criteria) -> list[Evidence]:
 
 
 def _starts(
-    states: tuple[Array, ...], noise: Sequence[float], seeds: int, key: int, forced: float
-) -> list[VerdictRun]:
+    states: tuple[Array, ...], noise: Sequence[float], units: Any, seeds: int, key: int,
+    forced: float,
+) -> list[VerdictRun]:  # fmt: skip
     trials, (count, n) = [], states[0].shape
     rng = np.random.default_rng(key)
     levels = [(0.0, 0)] + [(float(level), seed) for level in noise for seed in range(seeds)]
     for i, (level, seed) in itertools.product(range(count), levels):
-        state = tuple(np.asarray(part[i]) + level * rng.normal(size=n) for part in states)
+        state = tuple(
+            np.asarray(part[i]) + level * unit * rng.normal(size=n)
+            for part, unit in zip(states, units, strict=True)
+        )
         evidence = Evidence(level, seed, forcing_period=forced)
         trials.append(VerdictRun(i, state, evidence, n // 2))
     return trials

@@ -557,6 +557,7 @@ def _stiffest_rate(model: AbstractModel, state: State, count: int) -> Array | No
 
 def _usual_interval(model: AbstractModel, state: State, count: int, rate: Array | None) -> Any:
     chain = isinstance(model, Chain)
+    unit = model.natural_scales()[0]
     if rate is None:
-        return _PERIOD if chain and count <= (len(state) - 1) * len(state[0]) else 1.0
-    return jnp.minimum(_PERIOD if chain else 1.0, _LEAST_LOG / rate)
+        return _PERIOD if chain and count <= (len(state) - 1) * len(state[0]) else unit
+    return jnp.minimum(_PERIOD if chain else unit, _LEAST_LOG / rate)
