@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from jaxchain import continue_cycle, find_limit_cycle, simulate, verdict
-from jaxchain.model import ExponentialDecay, MechanicalCells, StaticKinetic, Stop, TanhFriction
+from jaxchain.model import (
+    ExponentialDecay,
+    MechanicalCells,
+    StaticKinetic,
+    Stop,
+    Table,
+    TabulatedFriction,
+    TanhFriction,
+)
 
 # Metres and seconds of a squealing pad, and of something as slow as a glacier.
 UNITS = ((1e-9, 1e-4), (1e6, 1e5))
@@ -119,3 +127,49 @@ def test_a_verdict_does_not_depend_on_the_units(kind):
         found.append((judged.verdict, round(float(judged.runs[-1].period) / time, 6)))
     assert found[0][0] == "periodic"
     assert found == found[:1] * len(found)
+
+
+class Rising(eqx.Module):
+    """A load that grows with the displacement, and lifts off."""
+
+    load: jax.Array
+    slope: jax.Array
+
+    def __call__(self, t, q, v):
+        return self.load + self.slope * q[0]
+
+
+class Corners(eqx.Module):
+    """An elastic stop on either side."""
+
+    stiffness: jax.Array
+    gap: jax.Array
+
+    def __call__(self, q, v):
+        beyond = jnp.maximum(q[0] - self.gap, 0.0) - jnp.maximum(-q[0] - self.gap, 0.0)
+        return (-self.stiffness * beyond,)
+
+
+def with_corners(length, time):
+    """Cells with corners in force, load, drive and law."""
+    force, speed = length / time**2, length / time
+    speeds = np.array([0.0, 0.2, 0.5, 2.0]) * speed
+    return MechanicalCells(
+        time**-2, damping=0.05 / time, belt_speed=0.3 * speed,
+        friction=TabulatedFriction(speeds, np.array([0.4, 0.35, 0.25, 0.3])),
+        normal_load=Rising(jnp.asarray(0.4 * force), jnp.asarray(0.8 / time**2)),
+        local_force=Corners(jnp.asarray(200.0 / time**2), jnp.asarray(0.6 * length)),
+        force=Table(np.linspace(0.0, 30.0, 90) * time, np.sin(np.arange(90.0) ** 2) * force),
+    )  # fmt: skip
+
+
+def test_corners_are_found_as_exactly_in_any_units():
+    found = []
+    for length, time in ((1.0, 1.0), *UNITS, (1e-6, 1e-6)):
+        start = jnp.full(1, 0.2 * length), jnp.full(1, 0.2 * length / time)
+        run = simulate(with_corners(length, time), start, 30.0 * time, rtol=1e-10)
+        ends = [
+            part[0] / unit for part, unit in zip(run.state, (length, length / time), strict=True)
+        ]
+        found.append([float(run.steps), *map(float, ends)])
+    np.testing.assert_allclose(found, found[:1] * len(found), rtol=0, atol=1e-10)

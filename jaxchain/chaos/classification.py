@@ -812,14 +812,14 @@ def verdicts(
     model: AbstractModel,
     initials: Given[ArrayLike],
     *,
-    noise: Sequence[float] | None = None,
+    noise: Any = None,
     seeds: Any = 3,
     first: Any = None,
-    longest: Given[ScalarLike | None] = None,
-    exponent_time: Given[ScalarLike | None] = None,
+    longest: Any = None,
+    exponent_time: Any = None,
     exponent_runs: Given[int] = 3,
     count: Given[int] = 3,
-    window: Given[ScalarLike | None] = None,
+    window: Any = None,
     solver: Given[Solver | None] = None,
     rtol: Given[ScalarLike] = 1e-6,
     criteria: Criteria | None = None,
@@ -896,7 +896,8 @@ def verdicts(
     sizes = model.sizes(first_state) or (1.0,) * len(first_state)
     sizes = np.array([float(size) or 1.0 for size in sizes])
     usual = (first, 2000.0), (longest, 32000.0), (exponent_time, 10000.0), (window, 50.0)
-    first, longest, exponent_time, window = (b * time if a is None else a for a, b in usual)
+    every = [b * time if a is None else a for a, b in usual]
+    first, longest, exponent_time, window = every
     times = (first, "first"), (longest, "longest"), (exponent_time, "exponent_time")
     for value, name in (*times, (window, "window")):
         check_positive_number(name, value, "a period is about 2 pi; see the defaults.")

@@ -76,7 +76,7 @@ class DryRun(eqx.Module):
     ) -> tuple[State, State, Any]:
         """(the state at the cut, that a period later, what `ExtremesAndTrace` sees on the way).
 
-        `t0`: the time of `state`, if it is not that of the cut of a forced cycle.
+        `t0`: the time of `state`; a forced cycle is cut at a multiple of the force's period.
         """
 
         def once_round(state: State, given: tuple[Array, Array]) -> tuple[State, Any]:

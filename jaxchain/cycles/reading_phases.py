@@ -111,6 +111,8 @@ class _Seen:
         self.time, self.unit = map(float, model.natural_scales()[:2])
         parts = limits(model, self.n), scales(model, self.n)
         self.limit, self.scale = (np.asarray(part) for part in parts)
+        # Without load, or static friction, nothing sticks.
+        self.limit = np.where(self.limit > 0, self.limit, 1.0)
 
     def modes(self, times: Any, states: Any) -> np.ndarray:
         """The mode of each place, 1 of stops."""

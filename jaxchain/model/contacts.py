@@ -101,7 +101,8 @@ class Contact(PrintedAsCall, eqx.Module):
             check_finite("belt_speed", self.belt_speed)
         if not self.varying:
             check_nonnegative("normal_load", self.normal_load, "a mass cannot pull at the belt.")
-        check_per_mass(**self.numbers())
+        # A law may also hold a network.
+        check_per_mass(**{k: a for k, a in self.numbers().items() if eqx.is_array_like(a)})
 
     @property
     def law(self) -> AbstractFrictionLaw:

@@ -59,7 +59,7 @@ def draw_model(chain: Any = None, masses: Any = 4, axes: Any = None) -> Figure:
 
     **Arguments:** `chain`, or `MechanicalCells` of at most 6 displacements, by default the chain
     of the paper; `masses`, the number of masses of a chain to draw, 1 ... 6; `axes`, a pair of
-    matplotlib axes, by default those of a new figure of a page's width.
+    matplotlib axes, by default of a new figure as wide as a page.
 
     **Returns:** the figure; see `jaxchain.plotting.save_figure`.
 

@@ -218,13 +218,13 @@ def next_event(
 
     It ends without an event where a mass slides past a knot of the friction law, or a force
     chooses another case, because another series begins there.  `at once`: events at the start of
-    the step, because those of other contacts of the cell have left a contact outside of its band.
+    the step, where an event of another contact of the cell has moved a contact out of its band.
     """
     length = jnp.minimum(length, _next_knot(chain, series, modes, length))
     if series.bands:
         coefficients, lower, upper = zip(*series.bands, strict=True)
         together = [jnp.concatenate(parts) for parts in zip(*coefficients, strict=True)]
-        size = 1.0 + jnp.abs(together[0])
+        size = chain.natural_scales()[0] * jnp.abs(together[1]) + jnp.abs(together[0])
         edges = jnp.concatenate(lower), jnp.concatenate(upper)
         until, _ = first_exit(together, *edges, length, RESOLUTION * size)
         length = jnp.minimum(length, until)
@@ -237,7 +237,7 @@ def next_event(
         direction * jnp.where(contact == 0, a, jnp.where(contact == 1, b, c))
         for a, b, c in zip(w, padded[1:], padded[2:], strict=False)
     ]
-    _, unit, force = chain.natural_scales()
+    time, unit, force = chain.natural_scales()
     speed_unit, contacts = RESOLUTION * unit, chain.frictional_contacts
     if (u := only_displacement(chain)) is None:
         slips = [along(c.direction, [part[0] for part in series.v]) for c in contacts]
@@ -267,7 +267,7 @@ def next_event(
         watched = [jnp.concatenate(parts) for parts in zip(watched, gaps, strict=True)]
         lower = jnp.concatenate([lower, jnp.zeros_like(gaps[0])])
         upper = jnp.concatenate([upper, jnp.full_like(gaps[0], FAR)])
-        reach = RESOLUTION * (unit + jnp.abs(series.gaps[0]))
+        reach = RESOLUTION * (time * unit + jnp.abs(series.gaps[0]))
         size = jnp.concatenate([size, jnp.where(bounced, speed_unit, reach)])
     until, hits = first_exit(watched, lower, upper, length, size)
 

@@ -205,7 +205,7 @@ def _slides(chain: Dry, t: Any, y: State, direction: Array, mu: Array) -> list[A
 
 
 def thrown(chain: Dry, y: State, hits: Array) -> State:
-    """The state after impacts of the cells in `hits`, those of the first stop first."""
+    """The state after impacts of the cells in `hits`, at one stop after the other."""
     d, count = len(y) // 2, len(chain.stops)
     v = y[d:]
     for stop, hit in zip(chain.stops, each_of(hits, count), strict=True):
@@ -320,12 +320,18 @@ def friction_coefficient(
     return joined(found, direction[: direction.size // max(len(contacts), 1)]), known
 
 
+def fastest_knot(law: Any) -> Any:
+    """The greatest knot of a law, by which its speeds count; 1 without knots."""
+    knots = jnp.asarray(() if law.knots is None else law.knots, float)
+    return jnp.max(knots) if knots.size else 1.0
+
+
 def piece_of(law: Any, w: Array) -> tuple[Array, Array, Array] | None:
     """(knot below |w|, knot above, offset of the friction series); None without knots."""
     knots = jnp.asarray(() if law.knots is None else law.knots, float)
     if knots.size == 0:
         return None
-    ahead = CLEARANCE * (1.0 + jnp.abs(w))
+    ahead = CLEARANCE * (fastest_knot(law) + jnp.abs(w))
     knots = jnp.broadcast_to(knots if knots.ndim == 2 else knots[:, None], (len(knots), w.size))
     far = jnp.full((1, w.size), FAR)
     edges = jnp.concatenate([-far, knots, far])

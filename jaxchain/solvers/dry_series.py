@@ -22,12 +22,13 @@ from .dry_friction import (
     Held,
     Modes,
     each_of,
+    fastest_knot,
     joined,
     only_displacement,
     static_limit,
     weighted_sum,
 )
-from .taylor import Choices, PowerSeries, as_chosen, composed
+from .taylor import CLEARANCE, Choices, PowerSeries, as_chosen, composed
 
 
 class Series(eqx.Module):
@@ -64,7 +65,8 @@ class _Touch:
         self.w = [flatten(first - spread(self.belt[0], direction))]
         self.speed, self.r = [direction * self.w[0]], []
         cases = law.knots is not None
-        mu = composed(law.coefficient, self.speed, piecewise=cases, known=known)
+        sizes = [fastest_knot(law)]
+        mu = composed(law.coefficient, self.speed, piecewise=cases, known=known, sizes=sizes)
         if contact.varying:
             load = _load_series(contact, t, x, v, choices)
             # p mu; with a constant load p is a factor of its own.
@@ -100,7 +102,8 @@ def expand(
     """
     d, contacts, u = len(state) // 2, chain.frictional_contacts, only_displacement(chain)
     x, v = [[part] for part in state[:d]], [[part] for part in state[d:]]
-    choices, given = Choices(), known or [()] * len(contacts)
+    choices = Choices(chain.natural_scales()[0], chain.sizes(state) or (1.0,) * len(state))
+    given = known or [()] * len(contacts)
     touches = [
         _Touch(contact, t, x, v, direction, choices, values)
         for contact, direction, values in zip(
@@ -120,7 +123,7 @@ def expand(
         for one in touches:
             one.grow(k)
     like = state[0]
-    bands = [part for band in choices.bands for part in _per_mass(*band, order, like)]
+    bands = [p for band in choices.bands for p in _per_mass(*band, choices.time, order, like)]
     chosen = choices.after if choices.bands and choices.complete else None
     limits, orders = None, range(order + 1)
     if any(one.hold is not None for one in touches):
@@ -212,32 +215,40 @@ def _belt_series(contact: Contact, t: Any, choices: Choices) -> Any:
     """v_d; only its first coefficient if it is constant."""
     if not contact.moving:
         return [contact.speed_at(t)]
-    own = Choices()
+    own = Choices(choices.time)
     # Of several arguments: a single one counts as a speed, which is not negative.
-    series = composed(lambda t, _: contact.speed_at(t), _clock(t), [jnp.zeros(())], choices=own)
+    arguments: Any = (_clock(t), [jnp.zeros(())])
+    sizes = choices.time, 1.0
+    series = composed(lambda t, _: contact.speed_at(t), *arguments, sizes=sizes, choices=own)
     choices.bands += own.bands
     choices.complete = False  # `after` are the arguments of the forces alone
     return series
 
 
 def _load_series(contact: Contact, t: Any, x: list, v: list, choices: Choices) -> Any:
-    own, d = Choices(), len(x)
+    own, d = Choices(choices.time), len(x)
 
     def load(t: Any, *y: Any) -> Any:
         return contact.load_at(t, y)
 
     rates = tuple(s[0] for s in v)
     slopes = (1.0, *rates, *(1.0,) * d)  # accelerations are not known yet
-    series = composed(load, _clock(t), *x, *v, slopes=slopes, choices=own)
+    how: Any = {"slopes": slopes, "sizes": (choices.time, *choices.sizes), "choices": own}
+    series = composed(load, _clock(t), *x, *v, **how)
     choices.bands += own.bands
     choices.complete = False
     return series
 
 
 def _per_mass(
-    q: PowerSeries, lower: Any, upper: Any, offset: Any, order: int, like: Array
+    q: PowerSeries, lower: Any, upper: Any, now: Any, time: Any, order: int, like: Array
 ) -> list[tuple[list[Array], Array, Array]]:
-    """A band of a force as bands of shape (n,), which end just beyond the given edges."""
+    """A band of a force as bands of shape (n,), which end just beyond the given edges.
+
+    So the arguments just after that choose another case.
+    """
+    size = time * jnp.abs(q[1]) + jnp.abs(now)
+    offset = 2.0 * (jnp.abs(now - q[0]) + 0.1 * CLEARANCE * size)
     shape = jnp.broadcast_shapes(jnp.shape(q[0]), like.shape)
     coefficients = [jnp.broadcast_to(q[k], shape).reshape(-1, like.size) for k in range(order + 1)]
     low, high = (
@@ -287,6 +298,7 @@ def _free_series(
             _free_rate(cells, len(own)),
             *(clock, *sides[0], *own, *sides[1]),
             slopes=slopes,
+            sizes=(choices.time, *[*choices.sizes] * 3),
             choices=choices,
         )
         return lambda k: tuple(part[k] for part in series)

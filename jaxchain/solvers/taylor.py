@@ -40,6 +40,7 @@ def composed(
     piecewise: bool = False,
     known: Sequence[Any] = (),
     slopes: Sequence[Any] | None = None,
+    sizes: Sequence[Any] | None = None,
     choices: Choices | None = None,
 ) -> Any:
     """The series of function(s(t)), or of function(s(t), ...) of several arguments.
@@ -51,6 +52,7 @@ def composed(
     force always may.  It then chooses by s_0 for all orders, or just after s_0 where the cases
     meet; the caller must limit the range in which this holds.  `slopes`: of each argument a number
     with the sign of its rate, where that is known; without it, just after s_0 is just above it.
+    `sizes`: what counts as 1 of each argument.
     `known`: what `evaluated` found at s_0; it is computed if missing.  `choices` is filled.
 
     **Returns:** a `PowerSeries`, or a tuple of them.  JAX's Taylor mode expands an operation that
@@ -68,9 +70,10 @@ def composed(
     series = [PowerSeries(lambda k, s=s: s[k]) for s in arguments]
     first = [s[0] for s in series]
     traced, shape = jax.make_jaxpr(function, return_shape=True)(*first)
+    ones = [1.0] * len(first)
     after = [
-        a + jnp.where(jnp.less(slope, 0.0), -CLEARANCE, CLEARANCE) * (1.0 + jnp.abs(a))
-        for a, slope in zip(first, slopes or [1.0] * len(first), strict=True)
+        a + jnp.where(jnp.less(slope, 0.0), -CLEARANCE, CLEARANCE) * (size + jnp.abs(a))
+        for a, slope, size in zip(first, slopes or ones, sizes or ones, strict=True)
     ]
     if choices is not None:
         choices.after = after
@@ -97,13 +100,16 @@ def evaluated(function: Callable[[Array], Array], s: Array) -> tuple[Array, list
 class Choices:
     """The cases that a force chose for a series.
 
-    `bands`: (series, lower, upper, offset), each in its band as long as the case holds; the
-    arguments just after s_0 lie beyond an edge if they are twice the `offset` beyond it.
+    `bands`: (series, lower, upper, value just after s_0), each in its band as long as the case
+    holds.
     `complete`: whether all choices have a band, as all but searches in tables have.  `after`: the
     arguments just after s_0, by which was chosen.
+
+    **Arguments:** `time`, `sizes`: what counts as 1, also of each variable of a cell.
     """
 
-    def __init__(self):
+    def __init__(self, time: Any = 1.0, sizes: Sequence[Any] = ()):
+        self.time, self.sizes = time, sizes
         self.bands: list[tuple[PowerSeries, Any, Any, Any]] = []
         self.complete = True
         self.after: list[Any] = []
@@ -116,7 +122,7 @@ def as_chosen(function: Callable[..., Any], values: Sequence[Any], after: Sequen
     return tuple(_at(r, 0) for r in _Expansion(True, series).of(traced, series, after))
 
 
-# Cases are distinguished at this distance from s_0, relative to 1 + s_0.
+# Cases are distinguished at this distance from s_0, relative to its size + s_0.
 CLEARANCE = 1e-12
 
 
@@ -212,13 +218,12 @@ class _Expansion:
         for q, now, width in found or ():
             if not isinstance(q, PowerSeries):
                 continue
-            offset = jnp.abs(now - q[0]) + 0.1 * CLEARANCE * (1.0 + jnp.abs(now))
             if width is None:
                 lower, upper = jnp.where(now < 0.0, -FAR, 0.0), jnp.where(now < 0.0, 0.0, FAR)
             else:
                 lower = jnp.floor(now / width) * width
                 upper = lower + width
-            self.choices.bands.append((q, lower, upper, 2.0 * offset))
+            self.choices.bands.append((q, lower, upper, now))
 
 
 def _by_jet(step: Any, operands: Sequence[Any], what: str) -> list[PowerSeries]:
