@@ -672,15 +672,18 @@ class MechanicalCells(AbstractCells):
         return (jnp.maximum(q, short * v),) * self.d + (jnp.maximum(v, q / long),) * self.d
 
     def _times_alone(self) -> tuple[Any, Any]:
-        """The shortest and the longest 1 / sqrt(b K) of the displacements."""
-        times = []
-        for u in range(self.d):
-            alone = Stop([float(i == u) for i in range(self.d)], 0.0)
-            share: Any = self._reach(alone)[u]
-            times.append(1.0 / jnp.sqrt(share * self._felt_stiffness(alone)))
-        return _extreme(jnp.minimum, [*map(jnp.min, times)]), _extreme(
-            jnp.maximum, [*map(jnp.max, times)]
-        )
+        """The shortest and the longest sqrt(M_uu / K_uu) of the displacements; 1 for K_uu <= 0."""
+
+        def diagonal(name: str) -> Any:
+            matrix = self._matrix(name)
+            if not isinstance(matrix, list):
+                return jnp.diagonal(matrix, axis1=-2, axis2=-1)
+            rows = [jnp.ravel(row[u]) for u, row in enumerate(matrix)]
+            return jnp.stack(jnp.broadcast_arrays(*rows), axis=-1)
+
+        mass, stiffness = diagonal("mass"), diagonal("stiffness")
+        times = jnp.sqrt(mass / jnp.where(stiffness > 0, stiffness, mass))
+        return jnp.min(times), jnp.max(times)
 
     def _reach(self, touch: Contact | Stop) -> list[Any]:
         return [0.0 if part is None else part for part in self.inverse_mass(touch)]
