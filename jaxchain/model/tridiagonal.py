@@ -26,6 +26,8 @@ from .._computed_once import flatten, materialize, spread
 from .._types import PerMass, ScalarLike
 from .springs import Springs, neighbours
 
+# The greatest number of variables of a cell for which every entry is an operation of its own.
+_WRITTEN_OUT = 24
 # Rows of entries: arrays over the cells, None for zero.
 Entries = list[list[Any]]
 Vector = list[Any]
@@ -91,21 +93,19 @@ class BlockTridiagonal(eqx.Module):
 
     def solver(self, sweeps: int | None) -> Solver:
         """Solves T b = r by `sweeps` Jacobi sweeps, or exactly if that is None."""
-        lu = factor(self.own)
-        pivots = [row[i] for i, row in enumerate(lu)]
-        lu = [_materialized(row) for row in lu]
-        sides = (*self.left, *self.right)
-        seen = [j for j in range(len(lu)) if any(row[j] is not None for row in sides)]
+        divided, pivots = _divided_by(self.own)
+        sides, m = (*self.left, *self.right), len(self.own)
+        seen = [j for j in range(m) if any(row[j] is not None for row in sides)]
         if not seen:
-            return Solver(lambda r: _materialized(substitute(lu, r)), None, pivots)
+            return Solver(lambda r: _materialized(divided(r)), None, pivots)
 
         def columns(entries: Entries) -> Entries:
             """The columns of P or Q, as rows of entries."""
-            parts = [_materialized(substitute(lu, [row[j] for row in entries])) for j in seen]
+            parts = [_materialized(divided([row[j] for row in entries])) for j in seen]
             return [list(row) for row in zip(*parts, strict=True)]
 
         P, Q = columns(self.left), columns(self.right)
-        nothing: Entries = [[None] * len(seen) for _ in lu]
+        nothing: Entries = [[None] * len(seen) for _ in range(m)]
         all_rows = BlockTridiagonal(nothing, P, Q, self.ends)
         P, Q = ([rows[i] for i in seen] for rows in (P, Q))
         seen_rows = BlockTridiagonal(nothing[: len(seen)], P, Q, self.ends)
@@ -114,7 +114,7 @@ class BlockTridiagonal(eqx.Module):
             exact = jax.tree.map(operator.neg, seen_rows)._elimination()
 
         def solve(r: Vector) -> Vector:
-            base = substitute(lu, r)
+            base = divided(r)
             first = s = [base[i] for i in seen]
             if exact is not None:
                 s = exact(first)
@@ -223,6 +223,35 @@ def substitute(lu: Entries, right: Sequence[Any]) -> Vector:
             x[i] = _minus(x[i], lu[i][j], x[j])
         x[i] = None if x[i] is None else x[i] / lu[i][i]
     return x
+
+
+def _divided_by(own: Entries) -> tuple[Callable[[Sequence[Any]], Vector], Vector]:
+    """(r -> D^{-1} r, the pivots) of the blocks D, by `factor`; of large ones as arrays.
+
+    An entry for each number of a large block would take minutes to compile.
+    """
+    m = len(own)
+    if m <= _WRITTEN_OUT:
+        lu = factor(own)
+        pivots = [row[i] for i, row in enumerate(lu)]
+        lu = [_materialized(row) for row in lu]
+        return lambda r: substitute(lu, r), pivots
+    zeros = jnp.zeros_like(jax.tree.leaves(own)[0])
+
+    def filled(row: Sequence[Any]) -> list[Any]:
+        return [zeros if part is None else part for part in row]
+
+    blocks = jnp.stack([jnp.stack(filled(row), axis=-1) for row in own], axis=-2)
+    lu, _, order = lax.linalg.lu(blocks)  # whose rows are exchanged: every pivot is good
+
+    def divided(r: Sequence[Any]) -> Vector:
+        right = jnp.take_along_axis(jnp.stack(filled(r), axis=-1), order, axis=-1)[..., None]
+        lower = {"left_side": True, "lower": True, "unit_diagonal": True}
+        right = lax.linalg.triangular_solve(lu, right, **lower)
+        right = lax.linalg.triangular_solve(lu, right, left_side=True)
+        return [right[:, i, 0] for i in range(m)]
+
+    return divided, [own[i][i] for i in range(m)]
 
 
 def _materialized(parts: Sequence[Any]) -> Vector:

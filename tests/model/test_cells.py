@@ -172,6 +172,18 @@ def test_a_block_tridiagonal_system_is_solved(n, ends, sweeps):
     np.testing.assert_allclose([p[0] for p in pivots], np.divide(minors[1:], minors[:-1]))
 
 
+def test_large_blocks_are_solved_with_exchanged_rows():
+    rng, n, m = np.random.default_rng(0), 3, 26
+    own = [[*row] for row in rng.normal(size=(m, m, n))]
+    sides: Any = [[[None] * m for _ in range(m)] for _ in range(2)]
+    for side in sides:
+        side[1][0], side[4][2] = rng.normal(size=(2, n))
+    left, right = sides
+    matrix, r = BlockTridiagonal(own, left, right, "cyclic"), rng.normal(size=(m, n))
+    found = jnp.concatenate(matrix.solver(None).solve([*r]))
+    np.testing.assert_allclose(found, np.linalg.solve(matrix.to_dense(n), r.ravel()), rtol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("cells", "m", "solver"),
     [(pairs("free"), 4, Rodas5P(2)), (Wave(jnp.asarray(0.5)), 2, Rodas4())],
