@@ -438,9 +438,9 @@ def edge_state(
     vibrating: Given[StateLike],
     *,
     classify: Given[AbstractClassifier | None] = None,
-    time: Given[ScalarLike] = 1000.0,
-    window: Given[ScalarLike] = 20.0,
-    patience: Given[ScalarLike] = 20000.0,
+    time: Any = None,
+    window: Any = None,
+    patience: Any = None,
     near: Given[ScalarLike] = 1e-10,
     far: Given[ScalarLike] = 1e-6,
     tolerance: Given[ScalarLike] = 1e-8,
@@ -474,8 +474,8 @@ def edge_state(
       amplitudes of five windows (of a narrow bracket) agree within `tolerance` A.  `window`: at
       least a period, 2 pi for the paper's masses; of forced cells rounded up to a multiple of the
       period of the force.  Within it the two ends must separate by less than `far` / `near`.
-      Both are Python numbers.
-    - `patience`: the time after which a run must be decided.
+      Both are Python numbers; 1000 and 20 in the unit of `natural_scales`.
+    - `patience`: the time after which a run must be decided, 20000 in that unit.
     - `near`, `far`: see above.
     - `rtol`, `solver`: as for `simulate`; a small `near` needs a small `rtol`.
 
@@ -521,6 +521,9 @@ def edge_state(
             "Arguments `quiet` and `vibrating` must have the same shapes, but have "
             f"{[p.shape for p in quiet]} and {[p.shape for p in vibrating]}."
         )
+    unit = model.natural_scales()[0]
+    usual = (time, 1000.0), (window, 20.0), (patience, 20000.0)
+    time, window, patience = (b * unit if a is None else a for a, b in usual)
     check_positive_number("window", window, "20, some three periods, is usual.")
     check_positive_number("time", time, "1000 is usual.")
     check_positive_number("patience", patience, "20000 is usual.")

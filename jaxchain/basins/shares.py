@@ -435,7 +435,7 @@ def basin_shares(
     *,
     half_width: Given[ScalarLike] = 0.01,
     classify: Given[AbstractClassifier | None] = None,
-    t1: ScalarLike = 1000.0,
+    t1: Any = None,
     points: Literal["sobol", "random"] = "sobol",
     replicates: int = 32,
     most: int = 2**20,
@@ -462,8 +462,9 @@ def basin_shares(
       there are `most` starts at every parameter.
     - `classify`: the definition of a state, an `AbstractClassifier`; by default
       `VibratingMasses()`, the number of vibrating masses, which needs a `Chain` or its `above`.
-    - `t1`: the time at which the state is determined.  Decided runs end earlier; a run whose state
-      still changes at `t1` is "undecided", which has a share like the others.
+    - `t1`: the time at which the state is determined, 1000 in the unit of `natural_scales`.
+      Decided runs end earlier; a run whose state still changes at `t1` is "undecided", which has a
+      share like the others.
     - `points`: "sobol" (scrambled) or "random"; `replicates`: the number of independent sequences;
       `seed`.
     - `checked`: the number of decisions at each parameter that are checked by runs without an
@@ -535,6 +536,7 @@ def basin_shares(
         "None or an `AbstractClassifier`",
         "`VibratingMasses()` counts the vibrating masses.",
     )
+    t1 = 1000.0 * float(model.natural_scales()[0]) if t1 is None else t1
     check_positive_number("t1", t1, "1000 is usual.")
     if t1 < classify.least_time:
         raise ValueError(

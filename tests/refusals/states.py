@@ -29,6 +29,7 @@ DIRECTION = (
     (1j, 0.0, 0.0), [[1.0, 0.0, 0.0]],
 )  # fmt: skip
 KEY = (None, "x", {}, -1, 1.5, math.nan)
+GIVEN = tuple(value for value in POSITIVE if value is not None)
 
 
 def rows() -> Iterator[Row]:
@@ -66,7 +67,7 @@ def _shares() -> Iterator[Row]:
         over=("x", 3.0, [1.0], {"state": [1.0]}, {"speed": [1.0]}, {"belt_speed": []}),
         half_width=SHARE, classify=("x", {}, 3.0, basins.Box()), points=WORD,
         replicates=(*COUNT, 3), most=(*few, 10), checked=seeds, seed=seeds, judge=t.FLAG,
-        t1=(*t.WRONG, math.nan, -1.0),
+        t1=(*(value for value in t.WRONG if value is not None), math.nan, -1.0),
     )  # fmt: skip
     shares = {"shares": xr.Dataset({"share": ("state", [1.0])}), "dim": "belt_speed"}
     dims = (None, 3, "x", "state", "replicate")
@@ -78,7 +79,7 @@ def _shares() -> Iterator[Row]:
     starts = {"quiet": (jnp.ones(3), jnp.zeros(3)), "vibrating": START}
     yield row(
         "edge_state", {"model": DRY, **starts}, quiet=states(3), vibrating=states(3),
-        time=(*POSITIVE, 5.0, 1e9), window=POSITIVE, patience=POSITIVE, near=POSITIVE,
+        time=(*GIVEN, 5.0, 1e9), window=GIVEN, patience=GIVEN, near=POSITIVE,
         far=(*POSITIVE, 1e-10), classify=("x", 3.0, {}, basins.Box()),
     )  # fmt: skip
     yield row(
@@ -90,8 +91,7 @@ def _shares() -> Iterator[Row]:
 
 
 def _chaos() -> Iterator[Row]:
-    wrong = tuple(value for value in POSITIVE if value is not None)
-    times = dict.fromkeys(("first", "longest", "exponent_time", "window"), wrong)
+    times = dict.fromkeys(("first", "longest", "exponent_time", "window"), GIVEN)
     counts = dict.fromkeys(("seeds", "exponent_runs", "count", "lanes"), COUNT)
     yield row(
         "verdict", {"model": DRY, "initial": START}, **times, **counts, initial=states(3),
