@@ -165,7 +165,7 @@ def test_a_curve_of_dry_hopf_points_ends_where_the_belt_stops():
     curve = continue_special(point, "damping_ratio")
     assert "belt_speed = 0" in curve.ended  # it ends where the belt stops
     some = curve.second > 1e-3
-    expected = -0.5 * np.log(1.0 / (2.0 * curve.second[some]))
+    expected = 0.5 * np.log(1.0 / (2.0 * curve.second[some]))
     np.testing.assert_allclose(curve.first[some], expected, atol=1e-9)
     assert curve.second.max() == pytest.approx(0.5, abs=1e-9)  # the weakening is greatest there
 
