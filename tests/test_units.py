@@ -129,6 +129,20 @@ def test_a_verdict_does_not_depend_on_the_units(kind):
     assert found == found[:1] * len(found)
 
 
+@pytest.mark.parametrize("force", [jnp.ones_like, lambda t: jnp.sin(2.0 * t)])
+def test_a_run_from_rest_begins_as_exactly_in_any_units(force):
+    found = []
+    for length, time in ((1.0, 1.0), *UNITS):
+        cells = MechanicalCells(
+            time**-2, force=lambda t, a=length / time**2, b=time: a * force(t / b)
+        )
+        run = simulate(cells, (jnp.zeros(1), jnp.zeros(1)), 20.3 * time)
+        found.append(float(run.state[0][0]) / length)
+    exact = {True: 1.0 - np.cos(20.3), False: (2.0 * np.sin(20.3) - np.sin(40.6)) / 3.0}
+    wanted = exact[force is jnp.ones_like]
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=4e-6)
+
+
 class Rising(eqx.Module):
     """A load that grows with the displacement, and lifts off."""
 

@@ -145,7 +145,7 @@ class Table(PrintedAsCall, eqx.Module):
         if now.ndim:
             return jnp.searchsorted(self.t, now, side="right")
         share = jnp.clip((now - self.t[0]) / (self.t[-1] - self.t[0]), 0.0, 1.0)
-        i = (share * (size - 1)).astype(jnp.int32) + 1
+        i = jnp.clip((share * (size - 1)).astype(jnp.int32) + 1, 1, size)  # also of a NaN
         after = (now >= _entry(self.t, jnp.minimum(i, size - 1))) & (i < size)
         return lax.cond(
             (now < _entry(self.t, i - 1)) | after,

@@ -158,6 +158,11 @@ class SwitchingController(dfx.AbstractAdaptiveStepSizeController):
             )
         if (sizes := self._sizes(y0)) is None:
             return self.controller.init(terms, t0, t1, y0, dt0, args, func, error_order)
+        # From rest: what forces move in a unit of time, a little later, as a sine begins at 0.
+        time = self.field.natural_scales()[0]
+        rates = terms.vf(t0 + 0.1 * time, y0, args)
+        soon: Any = self._sizes(tuple(a + time * b for a, b in zip(y0, rates, strict=True)))
+        sizes = tuple(jnp.where(a > 0, a, b) for a, b in zip(sizes, soon, strict=True))
 
         def scaled(t: Any, y: State, args: Any) -> State:
             return _over(terms.vf(t, _times(y, sizes), args), sizes)
