@@ -81,39 +81,54 @@ CELLS = {
 }
 
 
-def seen(make, length, time):
-    """A run, a cycle and a branch, in these units."""
-    cells, name, unit = make(length, time)
+def run_in(make, length, time):
+    """(the cells, a run, the units of its state)."""
+    cells, *named = make(length, time)
     sizes = (length,) * cells.d + (length / time,) * cells.d
     run = simulate(cells, tuple(jnp.full(1, 0.2 * size) for size in sizes), 60.0 * time)
+    return cells, run, sizes, *named
+
+
+def seen(make, length, time):
+    """A cycle and a branch, in these units."""
+    cells, run, sizes, name, unit = run_in(make, length, time)
     cycle = find_limit_cycle(cells, run)
     branch = continue_cycle(cycle, parameter=name, bounds=(0.4 * unit, 1.1 * unit), max_points=12)
     state = [float(part[0] / size) for part, size in zip(cycle.state, sizes, strict=True)]
     multipliers = np.sort(np.abs(cycle.multipliers))
     special = [(point.kind, point.parameter / unit) for point in branch.special]
-    lasts = float(run.state[0][0]) / length, float(cycle.period) / time
     ends = branch.parameter[-1] / unit, branch.amplitude[-1, 0] / length
-    return run.steps, cycle.stable, [*lasts, *state, *multipliers], ends, special
+    return cycle.stable, [float(cycle.period) / time, *state, *multipliers], ends, special
 
 
-QUICK = ("smoothed", "with stops", "forced")
+@pytest.mark.parametrize("kind", CELLS)
+def test_a_run_in_other_units_takes_the_same_steps_to_the_same_end(kind):
+    found = []
+    for units in ((1.0, 1.0), *UNITS):
+        _, run, sizes, *_ = run_in(CELLS[kind], *units)
+        ends = [float(part[0] / size) for part, size in zip(run.state, sizes, strict=True)]
+        found.append((int(run.steps), ends))
+    for steps, ends in found[1:]:
+        assert abs(steps - found[0][0]) <= 0.02 * found[0][0] + 1
+        np.testing.assert_allclose(ends, found[0][1], rtol=0, atol=5e-6)
 
 
-@pytest.mark.parametrize(
-    "kind", [k if k in QUICK else pytest.param(k, marks=pytest.mark.long) for k in CELLS]
-)
-def test_the_same_cells_in_other_units_move_alike(kind):
-    steps, stable, numbers, ends, special = seen(CELLS[kind], 1.0, 1.0)
+@pytest.mark.long
+@pytest.mark.parametrize("kind", CELLS)
+def test_cycles_and_branches_in_other_units_are_alike_and_compile_nothing(kind, compiled):
+    """In one set of units, so does the closed form of `tests/cycles/test_several_places.py`."""
+    stable, numbers, ends, special = seen(CELLS[kind], 1.0, 1.0)
     assert special or kind != "with stops"  # its branch ends at a grazing
     for units in UNITS:
+        compiled.clear()
         others = seen(CELLS[kind], *units)
-        assert abs(int(others[0]) - int(steps)) <= 0.02 * int(steps) + 1
-        assert others[1] == stable
-        np.testing.assert_allclose(others[2], numbers, rtol=1e-6, atol=1e-7)
-        np.testing.assert_allclose(others[3], ends, rtol=1e-4)
-        assert [kind for kind, _ in others[4]] == [kind for kind, _ in special]
+        assert not [name for name in compiled if name.startswith("jit(_")]
+        assert others[0] == stable
+        np.testing.assert_allclose(others[1], numbers, rtol=1e-6, atol=1e-7)
+        np.testing.assert_allclose(others[2], ends, rtol=1e-4)
+        assert [kind for kind, _ in others[3]] == [kind for kind, _ in special]
         np.testing.assert_allclose(
-            [value for _, value in others[4]], [value for _, value in special], rtol=1e-9
+            [value for _, value in others[3]], [value for _, value in special], rtol=1e-9
         )
 
 

@@ -254,7 +254,9 @@ def _exactly(
         z = np.append(u, raw.p / unit)
         for _ in range(_NEWTON_STEPS):
             p = float(z[-1]) * unit
-            r, slopes, seen = jax.device_get(_linearise(jnp.asarray(z[:-1]), p, there))
+            r, slopes, seen = jax.device_get(
+                _linearise(jnp.asarray(z[:-1]), jnp.asarray(p), there)
+            )
             if not np.all(np.isfinite(r)) or not np.all(np.isfinite(slopes)):
                 break
             slopes = np.append(slopes[:, :-1], slopes[:, -1:] * unit, axis=1)
@@ -276,7 +278,7 @@ def _sequences(
 
     Beyond the touch of a stop nothing is smooth.
     """
-    at = jax.tree.map(np.asarray, _along(jnp.asarray(u), raw.p, orbit))
+    at = jax.tree.map(np.asarray, _along(jnp.asarray(u), jnp.asarray(raw.p), orbit))
     k = len(orbit.events)
     period, parts = float(np.sum(u[-k:])), _parts_of(orbit, u)
     first = np.flatnonzero(orbit.apart)  # the phase of each part, which lasts

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, Float
 
 from .._checks import (
     check_count,
@@ -234,7 +234,7 @@ def fit_linear_solve(
         state = state() if callable(state) else state
         if state is None or is_traced(field, state):
             return solver.with_sweeps(None)
-        rho = float(_contraction(field, state, solver.tableau.gamma * step))
+        rho = float(_contraction(field, state, jnp.asarray(solver.tableau.gamma * step)))
     elif not isinstance(field, AbstractOscillators) or field.springs is None:
         return solver
     elif is_traced(field.springs.constant):
@@ -249,7 +249,7 @@ def fit_linear_solve(
 
 
 @eqx.filter_jit
-def _contraction(cells: AbstractCells, state: State, step: float) -> Array:
+def _contraction(cells: AbstractCells, state: State, step: Float[Array, ""]) -> Array:
     """By which a sweep contracts at a state, for a step of this length; 0 without neighbours."""
     rho = cells.linearised(0.0, state).jacobian.shift(1.0 / step).solver(1).contraction
     return jnp.zeros(()) if rho is None else rho

@@ -10,9 +10,13 @@ from jaxchain.model import Contact, MechanicalCells, StaticKinetic, Stop
 
 XI, OMEGA, GAP, RESTITUTION = 0.05, 0.8, 0.5, 0.7
 PERIOD, OMEGA_D = 2 * np.pi / OMEGA, np.sqrt(1 - XI**2)
+# The cells move by nanometres, at some kilohertz; the closed form is in these units.
+LENGTH, TIME = 1e-9, 1e-4
+SIZES, FORCE = np.array([LENGTH, LENGTH / TIME]), LENGTH / TIME**2
 HITS = MechanicalCells(
-    1.0, damping=2 * XI, force=0.81, frequency=OMEGA, stops=[Stop(1.0, GAP, RESTITUTION)]
-)
+    TIME**-2, damping=2 * XI / TIME, force=0.81 * FORCE, frequency=OMEGA / TIME,
+    stops=[Stop(1.0, GAP * LENGTH, RESTITUTION)],
+)  # fmt: skip
 
 
 def flown(force, t0, x, v, time):
@@ -39,25 +43,28 @@ def one_impact(force, guess):
     return root(gap, guess, tol=1e-14).x
 
 
-def test_an_orbit_with_impacts_is_that_in_closed_form_up_to_its_grazings():
+def test_an_orbit_with_impacts_is_that_in_closed_form_up_to_its_grazings(compiled):
     impact = one_impact(0.81, [7.5, 1.8])
 
     def at_zero(force, impact):
         time = PERIOD - impact[0] % PERIOD
         return flown(force, impact[0], GAP, -RESTITUTION * impact[1], time)
 
-    start = tuple(jnp.asarray(part)[None] for part in at_zero(0.81, impact))
-    cycle = find_limit_cycle(HITS, (start, PERIOD))
-    ends = []
+    start = tuple(jnp.asarray(part)[None] for part in at_zero(0.81, impact) * SIZES)
+    ends, how = [], {"parameter": "force"}
     for direction in (1, -1):
-        branch, near = continue_cycle(cycle, parameter="force", direction=direction), impact
+        branch = continue_cycle(HITS, start, PERIOD * TIME, direction=direction, **how)
+        near = impact
         assert len(branch.parameter) >= 3
-        for force, *state in zip(branch.parameter, *branch.state, strict=True):
+        for force, *state in zip(branch.parameter / FORCE, *branch.state, strict=True):
             near = one_impact(force, near)
-            np.testing.assert_allclose(np.ravel(state), at_zero(force, near), atol=1e-10)
+            found = np.ravel(state) / SIZES
+            np.testing.assert_allclose(found, at_zero(force, near), atol=1e-10)
         end = branch.special[-1]
         assert (end.kind, end.refined) == ("grazing", True)
-        ends.append((float(end.parameter), near))
+        ends.append((float(end.parameter) / FORCE, near))
+    # The equations of both special cycles are compiled once, not for each step of Newton's method.
+    assert compiled.count("jit(_linearise)") == 2
     # Below, the impact becomes a touch: the amplitude without the stop is the gap.
     assert ends[1][0] == pytest.approx(GAP * abs(1 - OMEGA**2 + 2j * XI * OMEGA), rel=1e-10)
     # Above, a second maximum touches the stop.
