@@ -296,14 +296,15 @@ def return_point(
     """(theta, value) of the extreme between two ends of the same sign that is nearest to zero.
 
     Those of the end, 1 and `last`, where there is none.  If the extreme has the other sign, the
-    function is zero before and after it.  `first` may also be zero: then it is after it only.
+    function is zero before and after it.  If `first` is zero, it is after it only; if `last` is,
+    it is so at the end, from which the step may be left on either side.
     """
 
     def slope(theta: Any) -> Array:
         return jax.jvp(function, (theta,), (jnp.ones_like(theta),))[1]
 
     begins, ends = slope(jnp.zeros_like(first)), slope(jnp.ones_like(first))
-    sign = jnp.sign(last)
+    sign = jnp.where(last == 0, jnp.sign(ends), jnp.sign(last))
     returns = (first * last >= 0) & (sign * begins < 0) & (sign * ends > 0)
 
     def nearest() -> tuple[Array, Array]:

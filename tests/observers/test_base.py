@@ -11,6 +11,7 @@ from systems.oscillators import LinearRing
 
 from jaxchain import (
     Amplitude,
+    EventDriven,
     PeakTimes,
     Rodas5P,
     Section,
@@ -71,23 +72,45 @@ def test_integrals_and_turning_points_of_a_step_of_known_motion():
         (jnp.full(1, 2.0), jnp.full(1, 9.0)),
         lambda theta, k: 3 * (2 * theta) ** 2 - 3 if k else (2 * theta) ** 3 - 6 * theta,
     )  # fmt: skip
-    has_extreme, theta = step.turning_points()
+
+    @jax.jit
+    def found():
+        has_extreme, theta = step.turning_points()
+        product = lambda t, y: y[0] * y[1] + t**5
+        integrals = [step.integral(product, points) for points in (3, 5)]
+        gradient = jax.grad(lambda end: dataclasses.replace(step, t1=end).frozen().t1)(2.0)
+        return has_extreme, step.time(theta), integrals, gradient
+
+    has_extreme, time, integrals, gradient = found()
     assert has_extreme.tolist() == [True]
-    np.testing.assert_allclose(step.time(theta), [1.025], rtol=1e-14)
-    for points in (3, 5):
-        found = step.integral(lambda t, y: y[0] * y[1] + t**5, points)
-        np.testing.assert_allclose(found, 0.5 * 2.0**2 + 2.0**6 / 6, rtol=1e-14)
-    gradient = jax.grad(lambda end: dataclasses.replace(step, t1=end).frozen().t1)(2.0)
+    np.testing.assert_allclose(time, [1.025], rtol=1e-14)
+    np.testing.assert_allclose(integrals, [0.5 * 2.0**2 + 2.0**6 / 6] * 2, rtol=1e-14)
     assert gradient == 0.0
 
 
-def test_a_quiet_chain_stops_early_and_says_so():
-    chain = paper_chain(5, belt_speed=1.9)
-    observe = Amplitude(window=50.0, stop="quiet")
-    run = simulate(chain, equation_8(chain, 1), 1e5, observe=observe)
+def of_one_mass(belt_speed, excited, t1, stop="quiet", **how):
+    chain = paper_chain(1, belt_speed)
+    observe = Amplitude(20.0, stop, tolerance=1e-4 if stop == "steady" else 1e-6)
+    return simulate(chain, equation_8(chain, excited), t1, observe=observe, **how)
+
+
+def test_a_run_stops_early_where_it_may_and_says_so():
+    run = of_one_mass(1.9, 1, 1e5)
     assert run.outcome == "quiet"
     assert float(run.t) < 5000
     assert float(run.observed.max()) < 1e-6
+    # Rest that does not attract, below the Hopf speed, is no reason to stop.
+    assert float(of_one_mass(1.0, 0, 300.0).t) == 300.0
+    # Nor is a steady vibration, unless it is allowed.
+    stopped, went_on = of_one_mass(1.4, 1, 2000.0, "steady"), of_one_mass(1.4, 1, 2000.0)
+    assert float(stopped.t) < 500 < float(went_on.t)
+    np.testing.assert_allclose(stopped.observed, went_on.observed, rtol=1e-3)
+
+
+def test_a_run_that_does_not_reach_the_window_has_no_amplitude():
+    run = of_one_mass(1.5, 1, 100.0, max_steps=5, throw=False)
+    assert run.outcome == "max_steps_reached"
+    assert np.all(np.isnan(run.observed))
 
 
 class Count(AbstractObserver):
@@ -109,39 +132,27 @@ class Count(AbstractObserver):
 @pytest.mark.parametrize("width", [None, 1e-2])
 def test_a_run_of_a_batch_observes_its_own_accepted_steps_only(width):
     observe = Amplitude(window=10.0, stop="quiet"), Count()
+    how = {"observe": observe, "solver": None if width else EventDriven(6)}
 
     @jax.jit
+    @jax.vmap
     def run(belt_speed, push):  # 1.4 vibrates; at 1.9 less than 1e-6 counts as rest
         chain = paper_chain(2, belt_speed, width)
         x, v = equation_8(chain, 0)
-        return simulate(chain, (x + push, v), 40.0, observe=observe)
+        return simulate(chain, (x + push, v), 40.0, **how)
 
-    lanes = jnp.array([1.4, 1.9]), jnp.array([1.0, 5e-7])
-    together = jax.jit(jax.vmap(run))(*lanes)
-    amplitude, count = together.observed
+    lanes = np.array([1.4, 1.9]), np.array([1.0, 5e-7])
+    together = run(*lanes)
+    amplitude, count = map(np.asarray, together.observed)
     assert together.t[1] < together.t[0] == 40.0
     assert not np.any(amplitude[1])
     np.testing.assert_array_equal(count, together.steps)
     if width:
         assert together.rejected[0] > 0
-    for i, alone in enumerate(map(run, *lanes)):
-        assert (alone.steps, alone.t) == (together.steps[i], pytest.approx(together.t[i]))
-        np.testing.assert_allclose(amplitude[i], alone.observed[0], rtol=1e-6)
-
-
-def test_rest_that_does_not_attract_is_no_reason_to_stop():
-    chain = paper_chain(5, belt_speed=1.0)  # below the Hopf speed
-    observe = Amplitude(window=50.0, stop="quiet")
-    assert float(simulate(chain, equation_8(chain, 0), 300.0, observe=observe).t) == 300.0
-
-
-def test_a_steady_vibration_stops_early_only_if_allowed():
-    chain = paper_chain(1, belt_speed=1.4)
-    start = equation_8(chain, 1)
-    stopped = simulate(chain, start, 2000.0, observe=Amplitude(20.0, "steady", tolerance=1e-4))
-    went_on = simulate(chain, start, 2000.0, observe=Amplitude(20.0, "quiet"))
-    assert float(stopped.t) < 500 < float(went_on.t)
-    np.testing.assert_allclose(stopped.observed, went_on.observed, rtol=1e-3)
+    for i in range(2):  # beside one like it
+        alone = run(*(np.repeat(numbers[i], 2) for numbers in lanes))
+        assert (alone.steps[0], alone.t[0]) == (together.steps[i], together.t[i])
+        np.testing.assert_allclose(amplitude[i], alone.observed[0][0], rtol=1e-6)
 
 
 def test_energy_and_activity_of_known_amplitudes():

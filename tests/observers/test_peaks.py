@@ -14,19 +14,20 @@ def test_many_steps_at_once_are_the_same_steps_one_by_one():
     rows, rng = 13, np.random.default_rng(3)
     times = np.sort(rng.uniform(0.0, 9.0, (2, rows, 4)), axis=1)
     peaks = rng.uniform(size=times.shape) < [0.0, 0.3, 0.6, 1.0]
-    notes, counts = jnp.asarray(np.where(peaks, times, NONE)), jnp.array([rows, rows // 2])
+    notes, counts = np.where(peaks, times, NONE), np.array([rows, rows // 2])
     observer = PeakTimes(capacity=6)
     blank = observer.init(paper_chain(4), 0.0, 9.0, (jnp.zeros(4), jnp.zeros(4)))
-    # Some are there already.
-    blank = observer.gather(blank, jnp.array([[-2.0, NONE, -1.0, NONE]]), jnp.asarray(1))
     gather = jax.jit(observer.gather)
-    at_once = jax.vmap(gather, (None, 0, 0))(blank, notes, counts)
+    # Some are there already.
+    blank = gather(blank, np.array([[-2.0, NONE, -1.0, NONE]]), 1)
+    at_once = jax.jit(jax.vmap(observer.gather, (None, 0, 0)))(blank, notes, counts)
     for lane, count in enumerate(counts):
         one_by_one = blank
         for row in range(count):
-            one_by_one = gather(one_by_one, notes[lane, row][None], jnp.asarray(1))
-        found = at_once[0][lane], at_once[1][lane]
+            one_by_one = gather(one_by_one, notes[lane, row][None], 1)
+        found = tuple(np.asarray(part)[lane] for part in at_once)
         for ours, theirs in zip(found, one_by_one, strict=True):
             np.testing.assert_array_equal(ours, theirs)
         expected = times[lane, :count, 3][:6]
-        np.testing.assert_array_equal(observer.read(found)[: expected.size, 3], expected)
+        seen = np.asarray(observer.read(tuple(map(jnp.asarray, found))))
+        np.testing.assert_array_equal(seen[: expected.size, 3], expected)

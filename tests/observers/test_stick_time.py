@@ -1,67 +1,78 @@
-"""How long masses stick: between the steps of a run, beside neighbours that move."""
+"""How long masses stick: between the steps of a run, beside neighbours that move.
+
+Motions are given, so that what friction must hold is written out in NumPy. Runs with dry friction
+are in tests/model/test_contacts.py and test_drives.py.
+"""
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from jaxchain import Chain, ExponentialDecay, StickTime, TanhFriction, Trajectory, simulate
+from jaxchain import Chain, ExponentialDecay, StickTime, TanhFriction
 from jaxchain.model import Contact, Coulomb, MechanicalCells
-from jaxchain.plotting import sticking
+
+LAW = ExponentialDecay(1.0, 0.5, 0.5)
+TIMES = np.linspace(0.0, 12.0, 120_001)
 
 
-def test_the_time_is_the_share_of_states_in_which_friction_holds_a_mass():
-    """Springs pull on a mass with their force at that time, not at another one of the step."""
-    law = TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), 1e-2)
-    stiffness = jnp.array([1.0, 1.3, 0.8])
-    coupling = jnp.array([0.3, 0.1])
-    chain = Chain(3, law, 1.0, coupling=coupling, stiffness=stiffness, ends="free")
-    start = jnp.array([1.5, -0.7, 0.9]), jnp.array([0.2, 1.0, -0.3])
-    windows = 6.0, 4.5, 3.0, 1.5  # the last ones begin while a mass sticks
-    watch = *map(StickTime, windows), Trajectory(jnp.linspace(20.0, 26.0, 60_001))
-    *found, states = simulate(chain, start, 26.0, observe=watch, rtol=1e-9).observed
-    sticks = np.asarray(sticking(chain, states))
-    assert np.any(np.mean(sticks, axis=0) > 0.1)
-    for window, time in zip(windows, found, strict=True):
-        share = np.mean(sticks[-round(window * 10_000) - 1 :], axis=0)
-        np.testing.assert_allclose(time, window * share, atol=2e-4)  # a sample at each end
+def waves(numbers, n, xp):
+    """t -> numbers of n cells, each with a phase of its own; the later half are velocities."""
+    k, i = np.arange(numbers)[:, None], np.arange(n)
+    size, phase = 0.4 + 0.3 * np.cos(3.0 * k + i), 2.0 * k + 1.3 * i
+    return lambda t: tuple(size[j] * xp.cos(1.1 * t + phase[j]) for j in range(numbers))
 
 
-def test_the_times_of_several_smoothed_contacts_tend_to_those_of_dry_ones():
-    """Three blocks, two on the third: what holds one contact has the friction of the others."""
-
-    def times(width):
-        laws = ExponentialDecay(0.5, 0.3, 0.5), ExponentialDecay(0.4, 0.25, 0.5), Coulomb(0.3)
-        first, second, third = (law if width is None else law.with_(width=width) for law in laws)
-        blocks = MechanicalCells(
-            [[2.0, -0.3, -0.2], [-0.3, 1.1, 0.0], [-0.2, 0.0, 1.4]],
-            mass=[2.0, 0.8, 0.7],
-            damping=0.02,
-            contacts=[
-                Contact((1, 0, 0), first, 3.0, 0.4),
-                Contact((-1, 1, 0), second, 0.8),
-                Contact((-1, 0, 1), third, 0.7),
-            ],
-            force=jnp.array([0.0, 0.5, 0.4]),
-            frequency=0.7,
-        )
-        watch = [StickTime(contact=i) for i in range(3)]
-        run = simulate(blocks, (jnp.zeros(1),) * 6, 60.0, observe=watch, rtol=1e-9)
-        return np.concatenate(run.observed)
-
-    dry, (wide, narrow) = times(None), map(times, (1e-3, 1e-4))
-    assert np.all(dry > 10.0)
-    # Releases from smoothed friction are late by times of the order of sqrt(width).
-    np.testing.assert_allclose(narrow, dry, atol=0.4)
-    assert np.all(np.abs(narrow - dry) < 0.5 * np.abs(wide - dry))
+def three_masses():
+    """(the chain, whether each mass sticks at TIMES): with free ends, all numbers different."""
+    k, c, p = np.array([1.0, 1.3, 0.8]), np.array([0.3, 0.1]), np.array([0.4, 0.6, 0.5])
+    friction = TanhFriction(LAW, 0.1)
+    chain = Chain(3, friction, 0.2, 0.05, c, stiffness=k, normal_load=p, ends="free")
+    x, v = waves(2, 3, np)(TIMES[:, None])
+    pull = np.pad(c * np.diff(x), ((0, 0), (1, 1)))
+    force = np.diff(pull) - k * x - 0.1 * v
+    slow = np.abs(v - 0.2) <= friction.stick_speed()
+    return chain, slow & (np.abs(force) <= p)
 
 
-def test_a_belt_that_speeds_up_releases_a_smoothed_mass_as_a_dry_one():
-    """A mass without a spring on a belt with v_d = t^2 sticks while v_d' = 2 t <= mu_st."""
+def three_contacts():
+    """The same of contacts: two blocks on a third one, on a belt that goes to and fro."""
+    K = np.array([[2.0, -0.3, -0.2], [-0.3, 1.1, 0.0], [-0.2, 0.0, 1.4]])
+    M, E = np.diag([2.0, 0.8, 0.7]), np.array([[1, 0, 0], [-1, 1, 0], [-1, 0, 1.0]])
+    loads, force = np.array([0.9, 0.5, 0.4]), np.array([0.0, 0.5, 0.4])
+    laws = [LAW.with_(width=0.1), Coulomb(0.4).with_(width=0.2), Coulomb(0.3).with_(width=0.3)]
+    belts = (lambda t: 0.1 * jnp.sin(2.1 * t)), 0.0, 0.0
+    parts = [Contact(*row) for row in zip(E, laws, loads, belts, strict=True)]
+    cells = MechanicalCells(K, mass=M, damping=0.02, contacts=parts, force=force, frequency=0.7)
+    t = TIMES
+    q, v = np.split(np.stack([part[:, 0] for part in waves(6, 1, np)(t[:, None])]), 2)
+    belt, turn = 0.1 * np.sin(2.1 * t), 0.21 * np.cos(2.1 * t)
+    w = E @ v - np.stack([belt, 0.0 * t, 0.0 * t])
+    mu = [0.5 + 0.5 * np.exp(-np.abs(w[0]) / 0.5), 0.4, 0.3]
+    friction = [
+        -p * m * np.tanh(u / width)
+        for p, m, u, width in zip(loads, mu, w, (0.1, 0.2, 0.3), strict=True)
+    ]
+    sticks = []
+    for i, e in enumerate(E):
+        h = force[:, None] * np.cos(0.7 * t) - K @ q - 0.02 * v
+        h = h + sum(np.outer(E[j], friction[j]) for j in range(3) if j != i)
+        rate = e @ np.linalg.solve(M, h) - (turn if i == 0 else 0.0)
+        held = np.abs(rate / (e @ np.linalg.solve(M, e))) <= loads[i] * laws[i].law.mu_static
+        sticks.append(held & (np.abs(w[i]) <= laws[i].stick_speed()))
+    return cells, np.stack(sticks, axis=1)
 
-    def time(law):
-        car = MechanicalCells(1e-9, contacts=[Contact(1.0, law, 1.0, lambda t: t**2)])
-        run = simulate(car, (jnp.zeros(1), jnp.zeros(1)), 2.0, observe=StickTime(), rtol=1e-10)
-        return float(run.observed[0])
 
-    law = Coulomb(0.8)
-    np.testing.assert_allclose(time(law), 0.4, atol=1e-6)
-    np.testing.assert_allclose(time(law.with_(width=1e-5)), 0.4, atol=0.02)
+@pytest.mark.parametrize("case", [three_masses, three_contacts])
+def test_the_time_is_the_share_of_times_at_which_friction_holds_a_mass(case, follow):
+    """Neighbours pull with their force at that time, contacts have the friction of the others."""
+    field, sticks = case()
+    several = case is three_contacts
+    # The shorter windows begin while one sticks, within a step.
+    pairs = ((10.45, 0), (12.0, 2)) if several else ((9.45, 0), (12.0, 0))
+    watch = [StickTime(window, contact) for window, contact in pairs]
+    found = follow(watch, field, waves(6, 1, jnp) if several else waves(2, 3, jnp), TIMES[::1000])
+    assert np.all((sticks.mean(axis=0) > 0.05) & (sticks.mean(axis=0) < 0.6))
+    for one, time in zip(watch, found, strict=True):
+        share = sticks[-round(one.window * 10_000) - 1 :].mean(axis=0)
+        wanted = one.window * (share[[one.contact]] if several else share)
+        np.testing.assert_allclose(time, wanted, atol=2e-3)
