@@ -13,7 +13,6 @@ import pytest
 from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers.amplitude import Amplitude
-from jaxchain.observers.section import PeakTimes
 from jaxchain.simulation.run import simulate
 
 # XLA divides the same loop into more parts from jax 0.11 on, such as 74 with jax 0.12.0 for the
@@ -72,7 +71,6 @@ LONG = pytest.mark.long
         pytest.param(_many, 20, None, None, 90, id="dry, an ensemble", marks=LONG),
         pytest.param(_many, 20, 1e-3, Amplitude(10.0), 65, id="smoothed, amplitudes"),
         pytest.param(_many, 20, None, Amplitude(10.0), 115, id="dry, amplitudes"),
-        pytest.param(_many, 20, None, PeakTimes(), 115, id="dry, times of maxima", marks=LONG),
     ],
 )
 def test_every_loop_is_compiled_whole(make, n, width, observe, most):

@@ -413,7 +413,7 @@ class EdgeState(Outcome):
     result: SearchResult
 
     @property
-    def periodic(self) -> Bool[Array, ""]:
+    def periodic(self) -> Bool[Array, "..."]:
         """Whether the motion closes, to 1e-6 of its size."""
         return jnp.isfinite(self.period)
 

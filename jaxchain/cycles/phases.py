@@ -194,7 +194,7 @@ class Phases(AbstractOrbit, eqx.Module):
         """u of a state, t_0 if forced, and durations."""
         return jnp.concatenate([state / self.of_state, times / self.of_time])
 
-    def in_units(self, u: Float[Array, " m"]) -> tuple[Array, Array]:
+    def in_units(self, u: Float[Array | np.ndarray, " m"]) -> tuple[Any, Any]:
         """(the state, t_0 if forced and the durations)."""
         d = self.m * self.n
         return u[:d] * self.of_state, u[d:] * self.of_time

@@ -91,7 +91,7 @@ def only_displacement(chain: Dry) -> int | None:
     return contacts[0].displacement if len(contacts) == 1 and not chain.stops else None
 
 
-def static_limit(chain: Dry, t: Any, y: State) -> PerMass:
+def static_limit(chain: Dry, t: Any, y: State) -> Array:
     """p mu_st, and a little more: see `SLACK`."""
     contacts = chain.frictional_contacts
     limits = [c.load_at(t, y) * c.law.mu_static * (1.0 + SLACK) for c in contacts]
