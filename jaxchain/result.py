@@ -98,7 +98,6 @@ class SearchResult(eqx.Enumeration, metaclass=_Outcomes):
     max_steps_reached = (
         "The search used up its steps. Allow more, start closer, or loosen the tolerance."
     )
-    branches_cross = "The point is not a fold: branches cross there, and none turns around."
     steady_sliding = (
         "The result is steady sliding or sticking, not a vibration: the mass hardly moves. Start "
         "from a state farther from it, or force it harder."

@@ -28,8 +28,8 @@ if "JAX_PLATFORMS" not in os.environ:
 jax.config.update("jax_numpy_rank_promotion", "raise")
 mpl.use("Agg")
 # Tracing makes many objects that stay: to look for garbage among them as often as Python does by
-# itself takes a fifth of its time.
-gc.set_threshold(100_000, 20, 20)
+# itself takes a fifth of its time, and each look at all of them a second or two.
+gc.set_threshold(100_000, 20, 1000)
 # No test looks at how fine a picture is, unless it says so.
 mpl.rcParams["figure.dpi"] = mpl.rcParams["savefig.dpi"] = 50
 
@@ -47,8 +47,9 @@ jaxchain.configure(devices=2)
 
 # What compiled programs may take: some fifteen times what all tests leave.
 MOST_BYTES = 2**29
-# What a worker may hold before JAX forgets the programs in memory: they are on the disk as well.
-MOST_MEMORY = 3 * 2**30
+# What a worker may hold before JAX forgets the programs in memory, a quarter of the machine: they
+# are on the disk as well.
+MOST_MEMORY = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -1,10 +1,14 @@
-"""What is on matplotlib axes: lines, words, colour bars."""
+"""What is on matplotlib axes: lines, words, colour bars; and made-up modes to draw."""
 
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
+from jaxchain.boundaries import ComplexModes
+from jaxchain.model.chain import paper_chain
 from jaxchain.model.units import Scales
+from jaxchain.result import SearchResult
 
 # x0 = 0.05 m, x0 omega_n = 0.5 m/s, P = 10 N.
 SCALES = Scales.from_dimensional(
@@ -43,3 +47,15 @@ def page_of(axes) -> Any:
 def bar(axes):
     """The axes of the colour bar."""
     return page_of(axes).axes[-1]
+
+
+def made_up_modes(*values: float) -> ComplexModes:
+    """Modes of one mass at these belt speeds, which nothing has computed."""
+    k = len(values)
+    ones, shape = jnp.ones((k, 1)), jnp.ones((k, 1, 1), complex)
+    return ComplexModes(
+        chain=paper_chain(1), values=jnp.asarray(values), state=(ones, 0 * ones),
+        eigenvalues=0.1 * ones + 1j, slopes=0j * ones, shapes=(shape, shape), mac=ones,
+        residual=jnp.zeros(k), result=SearchResult.successful, steps=jnp.ones(k, int),
+        parameter="belt_speed",
+    )  # fmt: skip

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "datasets.md"
-HEAD = "| variable | dimensions | unit | meaning |\n|---|---|---|---|"
 SWEPT = "…"
 # Codes of these are listed once on the page.
 _CODES = {"successful quiet": "codes of runs", "successful nonfinite": "codes of searches"}
@@ -53,11 +52,6 @@ def rows(data: Any, swept: Iterable[str] = (), unless: Iterable[str] = ()) -> li
         for name, coordinate in sorted(names, key=lambda item: (not item[1], item[0]))
         if name not in skip
     ]
-
-
-def table(found: Iterable[Row]) -> str:
-    """As Markdown."""
-    return "\n".join([HEAD, *map(_line, found)])
 
 
 def _line(row: Row) -> str:

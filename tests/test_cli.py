@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-from itertools import pairwise
 from pathlib import Path
 
 import equinox as eqx
@@ -67,28 +66,6 @@ def made_up_sweep(monkeypatch):
     calls = []
     monkeypatch.setattr(running, "sweep", recorded_sweep(calls))
     return calls
-
-
-@pytest.mark.slow
-def test_a_scene_becomes_datasets_a_figure_and_a_summary(workplace, capsys):
-    assert main(["run", "two.toml", "--output", "out"]) == 0
-    files = {file.name for file in Path("out").iterdir()}
-    assert files == {"report.html", "two.toml", "two.zarr", "two.png", "two.pdf"}
-    found = stored(Path("out/two"))
-    ring, one = found["second"], found["first"]
-    assert ring.energy.dims == ("belt_speed", "excited")
-    assert ring.excited.values.tolist() == [0, 1, 3]
-    assert "amplitude" not in ring
-    assert ring.energy.sel(belt_speed=1.5, excited=0) < 1e-9 < ring.energy.sel(excited=3).min()
-    assert ring.attrs["title"] == "Two experiments"
-    assert json.loads(ring.attrs["definition"])["chain"]["n"] == 3
-    assert one.amplitude.dims == ("belt_speed", "displacement", "oscillator")
-    # Without weakening the vibration dies, slower than it is measured here.
-    assert np.all(one.amplitude.sel(displacement=1.0) > one.amplitude.sel(displacement=0.5))
-    printed = capsys.readouterr()
-    assert "second: A ring of three" in printed.out
-    assert "6 (2 belt_speed x 3 excited)" in printed.out
-    assert "results in out: report.html, two.pdf, two.png, two.toml, two.zarr" in printed.out
 
 
 def test_results_are_never_overwritten(workplace, made_up_sweep, capsys):
@@ -181,29 +158,24 @@ def test_the_settings_of_the_scene_reach_the_sweep(workplace, made_up_sweep):
 REFUSED = {
     "resume two.toml": "must be a folder of results to continue.* `jaxchain run`",
     "resume sweep.zarr": "for a store made in Python repeat the same `sweep`",
-    "resume /": "is a folder without a scene",
-    f"resume {'x' * 300}": "must be a folder of results",
-    "status /": "^jaxchain: / is neither a store nor a folder that contains one",
     f"status {'x' * 300}": "is neither a store nor a folder that contains one",
     "run empty": "is a folder without a scene: it holds no TOML file",
     f"run two.toml --law {'x' * 300}.py:A": "there is no file xxx",
     "run two.toml --output two.toml/b": "cannot write into .*: Not a directory",
     **{f"run two.toml --output '{name}'": f'results/mine, but is "{re.escape(name)}"'
-       for name in ("", " ", ".", "..", "/", "a/..")},
+       for name in ("", ".", "/", "a/..")},
     "run two.toml --set experiment.first.chain.n=-1":
         "^jaxchain: scene two.toml has an error:   experiment.first.chain.n: must be at least 1, "
         "but is -1 $",
     "run two.toml --set experiment.first.chain.friction.width=1e-7":
         "scene two has an error:   experiment.first.numerics: Arguments `rtol`.*Use `rtol` = ",
     "scenes nothing": "is neither a file nor built in",
+    "report nowhere": "`folder` must be a folder of results, but nowhere is none",
+    "report two.toml": "but two.toml is a file: its folder is [.][.]",
+    "report empty": "but empty is a folder without a scene: it holds no TOML file",
     "boundary --width -1": "`width` must be positive",
-    "boundary --damping-ratio nan": "`damping_ratio` must be finite",
     "boundary --n 0": "`n` must be an integer of at least 1",
-    "boundary --coupling 0.1": "one mass has no neighbours",
-    "boundary --mu-static 0.1": "`mu_static` must be at least",
     "basins --velocity 1 0": "`velocity` must be .low, high.",
-    "basins --displacement nan 0": "`displacement` must be finite",
-    "basins --belt-speed inf": "`belt_speed` must be finite",
     "basins --mu-static 0.1": "`mu_static` must be at least",
 }  # fmt: skip
 
@@ -231,6 +203,13 @@ def test_a_figure_that_fails_costs_no_data(workplace, made_up_sweep, monkeypatch
     assert "the results are in results/two, but" in capsys.readouterr().err
     found = stored(Path("results/two/two"))
     assert found["second"].sizes["belt_speed"] == found["first"].sizes["displacement"] == 2
+
+
+def status_of(capsys, *words):
+    """What `jaxchain status` prints."""
+    capsys.readouterr()
+    assert main(["status", "results/two", *words]) == 0
+    return capsys.readouterr().out
 
 
 @pytest.mark.usefixtures("usual_signals")
@@ -262,6 +241,16 @@ def test_a_signal_keeps_finished_runs(workplace, made_up_sweep, monkeypatch, cap
     assert found["first"].result.sum() == 0
     assert int(found["second"].energy.isnull().sum()) == 1
     assert was_cut_off(Path("results/two"))
+    assert "Missing: second." in Path("results/two/report.html").read_text(encoding="utf-8")
+    run = {"folder": "results/two", "saved": ["first"], "missing": ["second"]}
+    cut = run | {"under_way": False, "cut_off": True}
+    assert json.loads(status_of(capsys, "--json")) == {"run": cut, "stores": []}
+    assert status_of(capsys).splitlines() == [
+        "results/two: the run was cut off",
+        "  saved         first",
+        "  missing       second",
+        "  `jaxchain resume results/two` goes on with it",
+    ]
     assert main(["run", "two.toml", "--no-plot", "--output", "results/two"]) == 130
     first, second, *_ = capsys.readouterr().err.splitlines()
     assert first.startswith("jaxchain: the run in results/two was cut off: `jaxchain resume ")
@@ -271,6 +260,10 @@ def test_a_signal_keeps_finished_runs(workplace, made_up_sweep, monkeypatch, cap
     assert "saved already: first\n" in capsys.readouterr().out
     assert int(stored(Path("results/two/two"))["second"].energy.isnull().sum()) == 0
     assert not Path("results/two", MARKER).exists()
+    ended = "results/two: the run has ended\n  saved         first, second\n"
+    assert status_of(capsys).startswith(ended)
+    with unfinished(Path("results/two"), "two"):
+        assert "the run is under way" in status_of(capsys)
 
 
 def test_results_that_do_not_fit_are_saved_elsewhere(
@@ -312,14 +305,16 @@ def test_scenes_lists_shows_and_describes(workplace, capsys):
     assert json.loads(capsys.readouterr().out)["title"] == "Scene"
 
 
-def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
-    """Replaces the search of `jaxchain boundary`; a list of the chains that were asked for."""
+@pytest.fixture
+def found(monkeypatch):
+    """Replaces the search of `jaxchain boundary`, without a fold; lists the chains asked for."""
     requested = []
-    names = ("hopf", "fold", "highest", "width", "hopf_dry", "hopf_dry_error", "fold_dry")
-    values = (1.2, fold, fold, 0.0, 1.2, 1e-12, 1.85)
-    speeds = {name: jnp.asarray(value) for name, value in zip(names, values, strict=True)}
-    speeds |= {"fold_dry_error": jnp.asarray(1e-10), "fold_limit": jnp.asarray(fold_limit)}
-    speeds |= {"fold_limit_error": jnp.asarray(fold_limit_error)}
+    values = {
+        "hopf": 1.2, "fold": np.nan, "highest": np.nan, "width": 0.0, "hopf_dry": 1.2,
+        "hopf_dry_error": 1e-12, "fold_dry": 1.85, "fold_dry_error": 1e-10, "fold_limit": np.nan,
+        "fold_limit_error": np.nan,
+    }  # fmt: skip
+    speeds = {name: jnp.asarray(value) for name, value in values.items()}
 
     def search(chain, *, error_bars):
         assert error_bars
@@ -329,11 +324,6 @@ def replace_search(monkeypatch, fold, fold_limit, fold_limit_error):
 
     monkeypatch.setattr(ranges, "stability_range", search)
     return requested
-
-
-@pytest.fixture
-def found(monkeypatch):
-    return replace_search(monkeypatch, np.nan, np.nan, np.nan)
 
 
 def test_boundary_prints_one_object_with_null_for_missing_numbers(workplace, found, capsys):
@@ -352,21 +342,12 @@ def test_boundary_prints_one_object_with_null_for_missing_numbers(workplace, fou
     assert (chain.n, float(chain.law.v_ref)) == (3, 0.4)
 
 
-def test_ctrl_c_ends_boundary_without_a_traceback(workplace, monkeypatch, capsys):
-    def stopped(chain, **_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(ranges, "stability_range", stopped)
-    assert main(["boundary"]) == 130
-    assert capsys.readouterr() == ("", "jaxchain: interrupted\n")
-
-
-def record(share, up, down, result):
-    one = jnp.ones(1)
-    share, up, down, other = map(jnp.asarray, (share, up, down, np.nan))
+def record(share, up, down):
+    one, other = jnp.ones(1), jnp.asarray(np.nan)
+    share, up, down = map(jnp.asarray, (share, up, down))
     return SlidingBasin(
         share=share, area=other, state=(one, one), period=other, up=up, down=down, gap=other,
-        result=result,
+        result=SearchResult.successful,
     )  # fmt: skip
 
 
@@ -377,11 +358,7 @@ def basins_found(monkeypatch):
 
     def search(chain, box):
         requested.append((chain, box))
-        if chain.dry:
-            return record(0.25, 1.1, 1.2, SearchResult.successful)
-        if chain.belt_speed == 0:
-            return record(np.nan, np.nan, np.nan, SearchResult.belt_too_slow)
-        return record(1.0, np.inf, np.inf, SearchResult.successful)
+        return record(0.25, 1.1, 1.2) if chain.dry else record(1.0, np.inf, np.inf)
 
     monkeypatch.setattr(single_mass, "sliding_basin", search)
     return requested
@@ -411,19 +388,14 @@ def test_basins_names_missing_numbers(found, basins_found, workplace, capsys):
     assert main(["basins"]) == 0
     said = capsys.readouterr().out
     assert "belt speed 1.5, starts with -2 <= x <= 2 and 0 <= v <= 2" in said
-    share = next(line for line in said.splitlines() if line.startswith("share"))
-    assert share.split()[1:3] == ["1.000000000", "0.250000000"]
+    assert re.search(r"^share +1\.000000000 +0\.250000000", said, re.MULTILINE)
     assert "blow_up: every motion ends in steady sliding" in said
-    assert main(["basins", "--belt-speed", "0"]) == 0
-    assert "share: The belt does not move" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--workers", "2"], "needs Dask: pip install 'jaxchain[dask]'"),
-        (["--scheduler", "tcp://here:1"], "needs Dask: pip install 'jaxchain[dask]'"),
-        (["--workers", "0"], 'must be a number of processes, but is "0"'),
         (["--workers", "two"], 'must be a number of processes, but is "two"'),
     ],
 )
@@ -449,59 +421,11 @@ def test_status_shows_the_progress_of_a_store(workplace, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out) == {"stores": [status]}
 
 
-def test_status_shows_a_run_without_stores(workplace, made_up_sweep, monkeypatch, capsys):
-    whole = running.sweep
-
-    def stopped(chain, initial, t1, *, over, **options):
-        data = whole(chain, initial, t1, over=over, **options)
-        if chain.n == 3:
-            data["result"][1, 1] = NAMES.index("interrupted")
-            raise SweepInterrupted(data)
-        return data
-
-    monkeypatch.setattr(running, "sweep", stopped)
-    assert main(["run", "two.toml", "--no-plot", "--quiet"]) == 130
-    capsys.readouterr()
-    run = {"folder": "results/two", "saved": ["first"], "missing": ["second"]}
-    assert main(["status", "results/two", "--json"]) == 0
-    cut = run | {"under_way": False, "cut_off": True}
-    assert json.loads(capsys.readouterr().out) == {"run": cut, "stores": []}
-    assert main(["status", "results/two"]) == 0
-    assert capsys.readouterr().out.splitlines() == [
-        "results/two: the run was cut off",
-        "  saved         first",
-        "  missing       second",
-        "  `jaxchain resume results/two` goes on with it",
-    ]
-    assert "Missing: second." in Path("results/two/report.html").read_text(encoding="utf-8")
-    with unfinished(Path("results/two"), "two"):
-        assert main(["status", "results/two"]) == 0
-    assert "the run is under way" in capsys.readouterr().out
-    monkeypatch.setattr(running, "sweep", whole)
-    assert main(["resume", "results/two", "--no-plot", "--quiet"]) == 0
-    assert main(["status", "results/two"]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("results/two: the run has ended\n  saved         first, second\n")
-
-
-def check_examples(said):
-    lines = [line.strip() for line in said.splitlines()]
-    shown = [line.split("  ")[0].split() for line in lines if line.startswith("jaxchain run ")]
-    assert ["jaxchain", "run", "quickstart"] in shown
-    for _, _, scene, *options in shown:
-        load_scene(scene, [b for a, b in pairwise(options) if a == "--set"])
-        for folder in (b for a, b in pairwise(options) if a == "--output"):
-            Path(folder).mkdir()
-            text = builtin_scenes()[scene].read_text(encoding="utf-8")
-            Path(folder, f"{scene}.toml").write_text(text, encoding="utf-8")
-
-
 def test_without_a_command_it_prints_its_help(workplace, capsys):
     assert main([]) == 0
     said = capsys.readouterr()
     assert said.out.startswith("usage: jaxchain")
     assert not said.err
-    check_examples(said.out)
     for option, told in (
         ("--help", said.out),
         ("--version", f"jaxchain {jaxchain.__version__}\n"),

@@ -97,7 +97,7 @@ sys.exit(main(["boundary"]))
 """
 
 
-@pytest.mark.parametrize("module", ["numpy._core.numeric", "jaxlib", "jaxchain.boundaries"])
+@pytest.mark.parametrize("module", ["numpy._core.numeric", "jaxchain.boundaries"])
 def test_ctrl_c_while_packages_are_imported_prints_one_line(module):
     command = [sys.executable, "-c", INTERRUPTED, module]
     done = subprocess.run(command, capture_output=True, text=True)

@@ -4,17 +4,18 @@ Sweeps are laid out by the code that lays out their stores, which runs nothing.
 """
 
 import re
+from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
+from drawn import made_up_modes
 from layouts import PAGE, differences, row_of, rows, tables
 from synthetic import cycle_branch, special_curve
 
 from jaxchain.basins import Box, basin_shares, share_differences
-from jaxchain.boundaries import complex_modes, continue_equilibrium
-from jaxchain.continuation import continue_branch
-from jaxchain.model.chain import paper_chain, steady_sliding
+from jaxchain.boundaries.equilibria import labels_of
+from jaxchain.continuation import Branch
+from jaxchain.model.chain import paper_chain
 from jaxchain.model.initial_states import equation_8
 from jaxchain.observers import (
     Amplitude,
@@ -28,7 +29,7 @@ from jaxchain.observers import (
     StickTime,
 )
 from jaxchain.result import NAMES, message
-from jaxchain.scenes.running import cycles, hopf_speed, origin_attributes
+from jaxchain.scenes.running import hopf_speed, origin_attributes
 from jaxchain.sweeps.ensemble import RunSettings, prepare
 
 SWEPT = ("belt_speed", "excited")
@@ -99,9 +100,8 @@ def test_attributes_of_a_sweep():
     assert said - own == more
 
 
-def test_attributes_of_a_folder_and_of_branches():
+def test_attributes_of_a_folder():
     assert set(origin_attributes()) <= attributes("Folders of results")
-    assert set(cycle_branch().to_dataset().attrs) <= attributes("Branches", "Of cycles")
 
 
 def test_codes():
@@ -124,23 +124,24 @@ def test_shares_and_their_differences():
 
 
 def test_branches():
-    data = cycle_branch().to_dataset()
-    assert not differences(TABLES["Branches", "Of cycles"], rows(data, unless=["belt_speed"]))
-    circle = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0).to_dataset()
-    assert not differences(TABLES["Branches", "Of equations"], rows(circle))
-    assert set(circle.attrs) <= attributes("Branches", "Of equations")
-    rest = steady_sliding(SMOOTHED)
-    still = continue_equilibrium(SMOOTHED, rest, "belt_speed", (0.5, 2.0), max_points=2)
-    data = still.to_dataset()
-    assert not differences(TABLES["Branches", "Of equilibria"], rows(data))
-    assert set(data.attrs) <= attributes("Branches", "Of equilibria")
-    modes = complex_modes(SMOOTHED, over={"belt_speed": [1.0, 1.1]}).to_dataset()
-    assert not differences(TABLES["Branches", "Of complex modes"], rows(modes))
-    assert set(modes.attrs) <= attributes("Branches", "Of complex modes")
+    found = {"Of cycles": cycle_branch().to_dataset()}
+    zeros, none = np.zeros(2), np.zeros((2, 6))
+    raw = Branch(none, zeros, zeros, np.ones((2, 7)), zeros, None, (), "max_points")
+    found["Of equations"] = raw.to_dataset()
+    labels = labels_of(SMOOTHED, 2, "belt_speed")
+    still = replace(raw, stable=np.ones(2, bool), labels=labels)
+    found["Of equilibria"] = still.to_dataset()
+    found["Of complex modes"] = made_up_modes(1.0, 1.5).to_dataset()
+    found["Of special points"] = special_curve().to_dataset()
     numbers = "belt_speed", "damping_ratio"
-    curve, unless = special_curve().to_dataset(), [*numbers, *(f"special_{n}" for n in numbers)]
-    assert not differences(TABLES["Branches", "Of special points"], rows(curve, unless=unless))
-    assert set(curve.attrs) <= attributes("Branches", "Of special points")
+    unless = {
+        "Of cycles": numbers[:1],
+        "Of special points": (*numbers, *(f"special_{name}" for name in numbers)),
+    }
+    for section, data in found.items():
+        own = rows(data, unless=unless.get(section, ()))
+        assert not differences(TABLES["Branches", section], own), section
+        assert set(data.attrs) <= attributes("Branches", section), section
 
 
 def test_the_hopf_speed_of_a_scene():
@@ -148,11 +149,3 @@ def test_the_hopf_speed_of_a_scene():
     found = hopf_speed(DRY, grid)
     row = row_of("hopf_belt_speed", found, ["damping_ratio"])
     assert TABLES["Folders of results", "Groups of a scene"] == {"hopf_belt_speed": row}
-
-
-@pytest.mark.long
-def test_the_cycles_of_a_scene():
-    grid = {"belt_speed": np.linspace(1.0, 1.9, 10), "start": np.ones(2)}
-    found = cycles(paper_chain(1, width=0.1), grid)
-    said = TABLES["Folders of results", "Cycles of one oscillator"]
-    assert not differences(said, rows(found))

@@ -5,7 +5,6 @@ namespace and an empty folder. What cannot run here stands in a fence of another
 one that begins with `{code-block} python`.
 """
 
-import re
 import shlex
 from pathlib import Path
 
@@ -14,7 +13,6 @@ import pytest
 from fences import anchors, fenced, headings, links
 
 from jaxchain.cli import _parser
-from jaxchain.cycles import CyclePoint
 from jaxchain.result import NAMES, SEARCH_NAMES
 from jaxchain.scenes import load_scene
 
@@ -122,11 +120,3 @@ def test_the_page_on_failures_lists_every_outcome():
     searches = " ".join(line.split("|")[1] for line in tables[len(NAMES) :])
     known = set(SEARCH_NAMES)
     assert set(searches.replace("`", "").replace(",", "").split()) == known
-
-
-def test_the_questions_name_every_kind_of_special_point():
-    about = TEXTS["faq.md"].partition("## Neimark-Sacker")[2].partition("\n## ")[0]
-    documented = " ".join((CyclePoint.__doc__ or "").split())
-    kinds = set(re.findall(r'"([a-z ]+)"', documented))
-    assert len(kinds) > 3
-    assert set(re.findall(r'`"([a-z ]+)"`', about)) == kinds

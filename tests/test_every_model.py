@@ -271,16 +271,15 @@ def is_judged(name, model):
     assert verdict(model, tuple(jnp.array([a]) for a in start)).verdict == "periodic"
 
 
-# In the default run. Other tests hold chains to all of these, and dry cells to what concerns
-# cycles: tests/cycles/test_dry_cells.py.
+# In the default run. Other tests hold chains to all of these, dry cells to what concerns cycles,
+# tests/cycles/test_dry_cells.py, and Hopf points, tests/boundaries/test_dry_equilibria.py, and
+# forced ones to SciPy, tests/model/test_drives.py.
 QUICK = {
-    "cells, dry": (simulates, differentiates, finds_an_equilibrium, finds_the_hopf_point,
-                   picks_a_width),
-    "cells, dry, forced": (simulates, differentiates, finds_an_equilibrium, finds_the_hopf_point),
-    "contacts, dry": (simulates, differentiates, finds_an_equilibrium, finds_the_hopf_point,
-                      picks_a_width),
-    "contacts, smoothed": (simulates, picks_a_width),
-}  # fmt: skip
+    "cells, dry": (picks_a_width,),
+    "cells, dry, forced": (finds_an_equilibrium, finds_the_hopf_point),
+    "contacts, dry": (simulates, differentiates, finds_an_equilibrium, picks_a_width),
+    "contacts, smoothed": (picks_a_width,),
+}
 FUNCTIONS = (
     simulates, differentiates, finds_a_cycle, continues_a_cycle, finds_an_equilibrium,
     finds_the_hopf_point, finds_exponents, picks_a_width, sweeps_over_the_stiffness, is_judged,

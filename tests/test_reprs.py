@@ -1,35 +1,34 @@
 """The `repr` of models and results, and how notebooks show them."""
 
 import re
+from dataclasses import fields
 from xml.etree import ElementTree
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from drawn import made_up_modes
 from synthetic import cycle_branch
 
 from jaxchain import (
     Amplitude,
     Chain,
-    EventDriven,
     ExponentialDecay,
     Scales,
     SearchResult,
     TanhFriction,
     Trajectory,
-    equation_8,
     paper_chain,
-    simulate,
-    steady_sliding,
 )
 from jaxchain._printing import Sketch, svg
-from jaxchain.boundaries import StabilityRange, complex_modes
-from jaxchain.continuation import continue_branch
+from jaxchain.boundaries import StabilityRange
 from jaxchain.cycles.limit_cycle import LimitCycle
-from jaxchain.inverse import Measurements, Profile, identify
+from jaxchain.inverse import Identification, Profile
 from jaxchain.model import DimensionalParameters, MechanicalCells, TabulatedFriction, VanDerPol
-from jaxchain.result import Outcome
+from jaxchain.result import Outcome, Result
+from jaxchain.simulation.dataset import Origin
+from jaxchain.simulation.run import Simulation
 
 
 class Found(Outcome):
@@ -64,12 +63,6 @@ def test_batches_traced_values_and_shapes_print_in_a_few_lines():
     assert "speed: float64[]" in seen[0]
     assert "speed: float64[]" in repr(shapes)
     assert "Found" in repr(eqx.filter(FOUND, lambda _: False))
-
-
-def test_a_real_result_prints_in_a_few_short_lines(dry_fold):
-    lines = repr(dry_fold).splitlines()
-    assert len(lines) <= 12
-    assert max(map(len, lines)) < 80
 
 
 CLASSES = {
@@ -118,11 +111,10 @@ def test_long_arrays_functions_and_traced_numbers_of_models_print_short():
 
 
 def test_a_fit_prints_its_parameters_with_their_errors():
-    found = identify(
-        paper_chain(n=1, width=None), lambda chain, new: chain.with_(**new),
-        {"v_ref": jnp.asarray(0.6)}, Measurements(hopf=(1.2, 0.05)),
-    )  # fmt: skip
-    text = repr(found)
+    names = dict.fromkeys((field.name for field in fields(Identification)), jnp.asarray(0.5))
+    chain, of = paper_chain(1, width=None), {"v_ref": jnp.asarray(0.54)}
+    found = {"theta": of, "standard_errors": {"v_ref": jnp.asarray(0.04)}, "chain": chain}
+    text = repr(Identification(**{**names, **found, "result": SearchResult.successful}))
     assert "theta: {v_ref: 0.54 ± 0.04}" in text
     assert "chain: Chain(n=1, friction=ExponentialDecay(" in text
     assert "Array(" not in text
@@ -144,15 +136,21 @@ def test_without_a_boundary_its_reason_is_printed_and_not_a_zero():
     assert "width: 0.679" in both
 
 
+def made_up_run(observer, value):
+    """A run of two masses with what one observer has seen; nothing is computed."""
+    tree = jax.tree.structure(0)
+    origin = Origin(paper_chain(2), (observer,), tree, t1=5.0)
+    state, count = (jnp.ones(2), jnp.zeros(2)), jnp.asarray(7)
+    time, how = jnp.asarray(5.0), {"steps": count, "rejected": count, "origin": origin}
+    return Simulation(t=time, state=state, observed=value, result=Result.successful, **how)
+
+
 def test_notebooks_show_models_and_results_as_an_escaped_table():
-    chain, how = paper_chain(2, width=None), {"observe": Amplitude(), "solver": EventDriven(6)}
+    chain = paper_chain(2, width=None)
     for shown, part in (
         (chain, '<td style="text-align: left">1.5</td>'),
         (chain.friction, ">mu_dynamic</th>"),
-        (
-            simulate(chain, steady_sliding(chain), 1.0, **how),
-            "Simulation: successful",
-        ),
+        (made_up_run(Amplitude(), jnp.ones(2)), "Simulation: successful"),
         (FOUND, "1.836612346 ± 3e-09"),
         (MechanicalCells(1.0, local_force=lambda q, v: (q[0],)), "&lt;lambda&gt;"),
     ):
@@ -196,12 +194,12 @@ def test_models_and_laws_are_drawn_by_their_friction():
 
 
 def test_runs_are_drawn_over_time_or_over_the_masses():
-    chain = paper_chain(2)
-    start = equation_8(chain, 1)
-    assert "time" in sketch_of(simulate(chain, start, 5.0, observe=Trajectory(np.arange(6.0))))
-    assert "displacement at the end" in sketch_of(simulate(chain, start, 5.0, observe=Amplitude()))
-    one = paper_chain(1)
-    assert "<svg" not in simulate(one, equation_8(one, 1), 5.0)._repr_html_()
+    path = jnp.arange(12.0).reshape(6, 2), jnp.zeros((6, 2))
+    run = made_up_run(Trajectory(np.arange(6.0)), path)
+    assert "time" in sketch_of(run)
+    ((_, displacements),) = run._sketch().lines
+    np.testing.assert_array_equal(displacements, path[0])
+    assert "displacement at the end" in sketch_of(made_up_run(Amplitude(), jnp.ones(2)))
 
 
 def test_cycles_branches_and_curves_are_drawn():
@@ -218,16 +216,13 @@ def test_cycles_branches_and_curves_are_drawn():
     # Cycles between the fold and the Hopf point are unstable.
     assert followed._repr_html_().count("stroke-dasharray") == 1
     assert "special: fold at 1.85, hopf at 1.15" in repr(followed)
-    ring = continue_branch(lambda u, p, _: u**2 + p**2 - 1.0, jnp.ones(1), 0.0)
-    assert "fold" in sketch_of(ring)
+    ((_, equations),) = followed.pieces
+    assert {"p", "u[0]"} <= {*sketch_of(equations)}
 
 
 def test_modes_and_profiles_are_drawn_over_their_values():
-    rows, change = [[2.0, 0.5], [0.5, 1.0]], {"friction": [[0.0, -1.0], [0.0, 0.0]]}
-    pads = MechanicalCells(rows, damping=[0.02, 0.03], plus=change)
-    modes = complex_modes(pads, over={"friction": jnp.linspace(0.0, 1.4, 5)})
-    assert {"friction", "growth rate"} <= {*sketch_of(modes)}
-    assert "frequency" in sketch_of(complex_modes(pads))
+    assert {"belt_speed", "growth rate"} <= {*sketch_of(made_up_modes(1.0, 1.5))}
+    assert "frequency" in sketch_of(made_up_modes(1.0))
     of_one = map(jnp.asarray, ([0.0, 1.0, 2.0], [4.0, 1.0, 4.0], 1.0, 0.5, -jnp.inf, 0.95))
     text = Profile(*of_one)._repr_html_()
     assert "χ²" in text

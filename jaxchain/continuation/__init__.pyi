@@ -4,5 +4,3 @@ from .bracket import bisect as bisect
 from .branch import Branch as Branch
 from .branch import SpecialPoint as SpecialPoint
 from .damped_newton import newton as newton
-from .fold_points import FoldPoint as FoldPoint
-from .fold_points import fold_point as fold_point

@@ -11,38 +11,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Float, PyTree
 
-from .._checks import check_function, check_number, to_float
-from .._types import ArrayLike, Given, ScalarLike
-from ..result import Outcome, SearchResult
-from .damped_newton import arrays, check_tolerance, check_vector, search
+from .._checks import check_function
 
 Borders = tuple[Float[Array, " m"], Float[Array, " m"]]
 _WANTED = "u, p, args -> as many numbers as u"
-# Below this share of its row, psi^T F_p counts as zero: branches cross, and none turns around.
-_LEAST_SLOPE = 1e-6
-
-
-class FoldPoint(Outcome):
-    """A fold: F(u, p) = 0 with F_u(u, p) `null` = 0 and |null| = 1.
-
-    `u` and `null` are of shape (m,), `p` a number; `residual` is the greatest remaining |R| of
-    `fold_residual`, after `steps` Jacobians; `result` is the outcome.  `slope` is psi^T F_p with
-    psi the left null vector, in units of the rows of [F_u F_p] at the start: not zero at a fold.
-    With `borders`, `fold_residual` is zero at (u, p).
-
-    See `fold_point` for an example.
-    """
-
-    u: Float[Array, " m"]
-    p: Float[Array, ""]
-    null: Float[Array, " m"]
-    slope: Float[Array, ""]
-    residual: Float[Array, ""]
-    result: SearchResult
-    steps: Int[Array, ""]
-    borders: Borders
 
 
 def null_vectors(slope: Float[Array, "m m"], exists: Any = True) -> Borders:
@@ -122,72 +96,3 @@ class fold_residual(eqx.Module):  # noqa: N801 - it is used as a function that m
         args, borders = parameters
         g = _singularity(z, args, lax.stop_gradient(borders), residual=self.residual)
         return jnp.append(_value(self.residual(z[:-1], z[-1], args)), g)
-
-
-def fold_point(
-    residual: Callable[..., Any],
-    u: Given[ArrayLike],
-    p: Given[ScalarLike],
-    args: PyTree = None,
-    *,
-    tolerance: Given[ScalarLike] = 1e-10,
-    max_steps: Given[int] = 30,
-) -> FoldPoint:
-    """The fold of F(u, p) = 0 near (u, p), by damped Newton steps on `fold_residual`.
-
-    **Arguments:** `residual` = F(u, p, args), of shape (m,), differentiated forward only; u of
-    shape (m,) and p near the fold, for example from `continue_branch`; `tolerance` and
-    `max_steps` as in `newton`.
-
-    **Returns:** a `FoldPoint`, not `successful` if there is no fold, or if branches cross (psi^T
-    F_p = 0).  It works under `jax.vmap`.  Use `attach_derivative` with `fold_residual` for
-    derivatives.
-
-    **Raises:** `ValueError` for bad input; `RuntimeError` without 64-bit floats.
-
-    >>> import jax, jax.numpy as jnp
-    >>> jax.config.update("jax_enable_x64", True)
-    >>> from jaxchain.continuation import fold_point
-    >>> fold = fold_point(lambda u, p, args: u**3 - u + p, jnp.array([0.5]), 0.4)
-    >>> bool(fold.successful), round(float(fold.p), 9)
-    (True, 0.384900179)
-    """
-    check_function("residual", residual, _WANTED, 3)
-    check_number("p", p, "it is the parameter at which the search starts.")
-    z = jnp.append(check_vector("u", u), to_float(p))
-    count = check_tolerance(tolerance, max_steps)
-    return _fold_point(residual, z, arrays(args), to_float(tolerance), jnp.asarray(count))
-
-
-@eqx.filter_jit
-def _fold_point(
-    residual: Any, z: Array, args: PyTree, tolerance: Array, limit: Array
-) -> FoldPoint:
-    def slope(z: Array) -> Array:
-        """[F_u F_p]"""
-        return jax.jacfwd(lambda z: _value(residual(z[:-1], z[-1], args)))(z)
-
-    full = slope(z)
-    rows = jnp.max(jnp.abs(full), axis=1)
-    rows = jnp.where(rows > 0, rows, 1.0)
-    left, right = null_vectors(full[:, :-1] / rows[:, None])
-    borders = (rows * left, right)
-    weights = jnp.full(z.shape, z.shape[0] ** -0.5)
-    root = search(fold_residual(residual), z, (args, borders), tolerance, limit, weights)
-
-    full = slope(root.value)
-    phi, psi, _ = _bordered(full[:, :-1], borders)
-    psi = rows * psi
-    share = jnp.sum(psi * full[:, -1] / rows) / jnp.sqrt(jnp.sum(psi**2))
-    is_fold = ~root.successful | (jnp.abs(share) > _LEAST_SLOPE)
-    result = SearchResult.where(is_fold, root.result, SearchResult.branches_cross)
-    return FoldPoint(
-        u=root.value[:-1],
-        p=root.value[-1],
-        null=phi / jnp.sqrt(jnp.sum(phi**2)),
-        slope=share,
-        residual=root.residual,
-        result=result,
-        steps=root.steps,
-        borders=borders,
-    )

@@ -1,15 +1,6 @@
-from .building import load_law as load_law
-from .building import load_model as load_model
-from .building import load_observer as load_observer
 from .files import SceneError as SceneError
-from .files import builtin_scenes as builtin_scenes
-from .folder import FigureError as FigureError
 from .folder import Results as Results
-from .folder import StorageError as StorageError
-from .folder import claimed as claimed
-from .report import renew_page as renew_page
 from .running import run_scene as run_scene
-from .scene import LoadedScene as LoadedScene
 from .scene import Scene as Scene
 from .scene import load_scene as load_scene
 from .scene import schema as schema

@@ -504,7 +504,7 @@ def load_model(given: str, scene: str) -> type[AbstractCells]:
 
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from jaxchain.scenes import load_model
+        >>> from jaxchain.scenes.building import load_model
         >>> code = '''
         ... import jax
         ... from jaxchain.model import AbstractCells
@@ -539,7 +539,7 @@ def load_law(given: str, scene: str) -> type[AbstractFrictionLaw]:
 
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from jaxchain.scenes import load_law
+        >>> from jaxchain.scenes.building import load_law
         >>> code = '''
         ... from jaxchain.model import AbstractFrictionLaw
         ... class Rational(AbstractFrictionLaw):
@@ -572,7 +572,7 @@ def load_observer(given: str, scene: str) -> type[AbstractObserver]:
 
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from jaxchain.scenes import load_observer
+        >>> from jaxchain.scenes.building import load_observer
         >>> code = '''
         ... import jax.numpy as jnp
         ... from jaxchain.observers import AbstractObserver, Variable

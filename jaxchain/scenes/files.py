@@ -68,7 +68,7 @@ def builtin_scenes() -> dict[str, Traversable]:
 
     !!! example
 
-        >>> from jaxchain.scenes import builtin_scenes
+        >>> from jaxchain.scenes.files import builtin_scenes
         >>> files = builtin_scenes()
         >>> "fig3" in files, files["quickstart"].read_text().splitlines()[0]
         (True, 'title = "A ring of six at a few belt speeds: a first look, in seconds"')

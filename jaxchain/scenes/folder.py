@@ -281,7 +281,7 @@ def claimed(path: Path) -> Iterator[Path]:
 
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from jaxchain.scenes import claimed
+        >>> from jaxchain.scenes.folder import claimed
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     out = Path(folder) / "out"
         ...     with claimed(out) as first, claimed(out) as second:

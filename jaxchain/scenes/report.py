@@ -189,7 +189,8 @@ def renew_page(folder: Path) -> Path:
 
         >>> import tempfile, xarray as xr
         >>> from pathlib import Path
-        >>> from jaxchain.scenes import Results, renew_page
+        >>> from jaxchain.scenes import Results
+        >>> from jaxchain.scenes.report import renew_page
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     data = xr.Dataset({"amplitude": ("belt_speed", [1.6, 1.7])})
         ...     Results(Path(folder), "mine").save("run", data)

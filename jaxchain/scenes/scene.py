@@ -223,7 +223,7 @@ class Scene(Table):
 
     !!! example
 
-        >>> from jaxchain.scenes import LoadedScene, Scene
+        >>> from jaxchain.scenes.scene import LoadedScene, Scene
         >>> law = {"law": "exponential_decay", "mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5}
         >>> tables = {
         ...     "chain": {"n": 3, "damping_ratio": 0.05, "friction": law | {"width": 1e-2}},

@@ -5,11 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain.boundaries import (
-    continue_equilibrium,
-    find_equilibrium,
-    find_hopf_point,
-)
+from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
 from jaxchain.model import AbstractCells
 from jaxchain.plotting import plot_branch
 
@@ -27,48 +23,54 @@ class Brusselator(AbstractCells):
 
 
 class Bistable(AbstractCells):
-    """x' = p + x - x^3 folds at p = -+ 2 / sqrt(27); y' = -y."""
+    """x' = p + c (x - x^3) folds at p = -+ 2 c / sqrt(27); y' = -y."""
 
     p: jax.Array
+    c: jax.Array
 
     def rate(self, t, left, own, right):
         x, y = own
-        return self.p + x - x**3, -y
+        return self.p + self.c * (x - x**3), -y
 
 
 def brusselator(b=1.8):
     return Brusselator(jnp.asarray(1.2), jnp.asarray(b))
 
 
-def test_an_equilibrium_is_that_of_the_closed_form_with_its_slopes():
-    found = find_equilibrium(brusselator(), (jnp.full(2, 1.0), jnp.full(2, 2.0)))
-    np.testing.assert_allclose(found.state, [[1.2] * 2, [1.5] * 2], atol=1e-12)
+def bistable(p, c=1.0):
+    return Bistable(jnp.asarray(p), jnp.asarray(c))
+
+
+@pytest.fixture(scope="module")
+def start():
+    """The equilibrium of two cells at b = 2.2."""
+    return find_equilibrium(brusselator(2.2), (jnp.full(2, 1.0), jnp.full(2, 2.0)))
+
+
+def test_an_equilibrium_and_its_hopf_point_are_those_of_the_closed_form_with_slopes(start):
+    np.testing.assert_allclose(start.state, [[1.2] * 2, [2.2 / 1.2] * 2], atol=1e-12)
     np.testing.assert_allclose(
-        found.eigenvalues[0].real, np.linalg.eigvals([[0.8, 1.44], [-1.8, -1.44]]).real.max(),
+        start.eigenvalues[0].real, np.linalg.eigvals([[1.2, 1.44], [-2.2, -1.44]]).real.max(),
         atol=1e-12,
     )  # fmt: skip
-    assert found.stable
-    start = found.state
-    y = lambda b: find_equilibrium(brusselator().with_(b=b), start).state[1][0]
-    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(y)))(jnp.array([1.0, 2.0]))
-    np.testing.assert_allclose(values, [1 / 1.2, 2 / 1.2], rtol=1e-12)  # y = b / a
-    np.testing.assert_allclose(slopes, 1 / 1.2, rtol=1e-12)
+    assert start.stable
 
+    @jax.jit
+    def found(a, b):
+        def numbers(a, b):
+            cells = brusselator().with_(a=a, b=b)
+            rest = find_equilibrium(cells, start.state)
+            point = find_hopf_point(cells, "b", start.state, throw=False)
+            numbers = jnp.stack([point.value, point.frequency, rest.state[1][0]])
+            return numbers, (numbers, point.growth_slope)
 
-def test_a_hopf_point_is_that_of_the_closed_form_with_its_slopes():
-    cells = brusselator()
-    start = find_equilibrium(cells, (jnp.full(1, 1.0), jnp.full(1, 2.0))).state
-    point = find_hopf_point(cells, "b", start)
-    assert float(point.value) == pytest.approx(2.44, abs=1e-13)
-    assert float(point.frequency) == pytest.approx(1.2, abs=1e-13)
-    assert float(point.growth_slope) == pytest.approx(0.5, abs=1e-12)  # Re = (b - 1 - a^2) / 2
+        return jax.jacfwd(numbers, (0, 1), has_aux=True)(a, b)
 
-    def numbers(a):
-        found = find_hopf_point(cells.with_(a=a), "b", start, throw=False)
-        return jnp.stack([found.value, found.frequency])
-
-    slopes = jax.jit(jax.jacfwd(numbers))(1.2)
-    np.testing.assert_allclose(slopes, [2.4, 1.0], atol=1e-11)
+    (by_a, by_b), (numbers, growth_slope) = found(1.2, 2.2)
+    np.testing.assert_allclose(numbers, [2.44, 1.2, 2.2 / 1.2], atol=1e-12)  # 1 + a^2, a and b / a
+    np.testing.assert_allclose(by_a, [2.4, 1.0, -2.2 / 1.44], atol=1e-11)
+    np.testing.assert_allclose(by_b, [0.0, 0.0, 1 / 1.2], atol=1e-12)
+    assert float(growth_slope) == pytest.approx(0.5, abs=1e-12)  # Re = (b - 1 - a^2) / 2
 
 
 @pytest.mark.long
@@ -86,7 +88,7 @@ def test_in_a_ring_the_named_frequency_is_found():
 
 
 def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
-    cells = Bistable(jnp.asarray(-0.2))
+    cells = bistable(-0.2)
     branch = continue_equilibrium(cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7))
     assert (branch.ended_first, branch.ended) == ("left_bounds", "left_bounds")
     assert (branch.p[0], branch.p[-1]) == (-0.7, 0.7)
@@ -114,14 +116,7 @@ def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
 
 
 def test_failures_are_named():
-    with pytest.raises(RuntimeError, match=r"No Hopf point in `p` was found near `guess`"):
-        find_hopf_point(Bistable(jnp.asarray(0.6)), "p", (jnp.ones(1), jnp.zeros(1)))
     with pytest.raises(ValueError, match=r"`parameter` must be one of \['a', 'b'\]"):
         find_hopf_point(brusselator(), "c", (jnp.ones(1), jnp.ones(1)))
-
-    class Never(Bistable):
-        def rate(self, t, left, own, right):
-            return 1.0 + own[0] ** 2, -own[1]
-
     with pytest.raises(RuntimeError, match="No equilibrium was found near `guess`"):
-        find_equilibrium(Never(jnp.asarray(0.0)), (jnp.ones(1), jnp.zeros(1)))
+        find_equilibrium(bistable(1.0, 0.0), (jnp.ones(1), jnp.zeros(1)))

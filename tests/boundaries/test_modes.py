@@ -11,8 +11,7 @@ from scipy import optimize
 
 from jaxchain import ExponentialDecay, paper_chain
 from jaxchain.boundaries import complex_modes, find_hopf_point
-from jaxchain.model import MechanicalCells, ModeCoupling
-from jaxchain.model.sliding import sliding_eigenvalues
+from jaxchain.model import MechanicalCells
 
 brentq: Any = optimize.brentq
 D = 8
@@ -56,11 +55,6 @@ class Bend(eqx.Module):
         return 1.0 - self.cubic * q[0] ** 3, -0.2 * q[1] ** 2
 
 
-def small(**numbers):
-    given: Any = {"stiffness_x": 2.0, "stiffness_y": 1.0, "stiffness_xy": 0.5, **numbers}
-    return ModeCoupling(**{"contact_stiffness": 1.0, "friction": 0.0, **given})
-
-
 @pytest.mark.long
 def test_flutter_of_many_displacements_is_found_from_any_start():
     mu, omega = onset()
@@ -94,40 +88,16 @@ def test_modes_of_many_displacements_are_those_of_numpy_and_do_not_jump():
         np.testing.assert_allclose(
             np.sort_complex(row), np.sort_complex(values[np.imag(values) > 0]), atol=1e-11
         )
-    # A mode keeps its shape, and its slope is that of its column.
-    assert float(jnp.nanmin(modes.mac)) > 0.7
-    between = np.diff(modes.eigenvalues, axis=0) / np.diff(mu)[:, None]
-    mean = 0.5 * (modes.slopes[1:] + modes.slopes[:-1])
-    assert np.median(np.abs(between - mean)) < 1e-3 * np.median(np.abs(mean))
-
-
-def test_two_modes_meet_where_hoffmann_says():
-    k11, k22, k12 = 2.3, 1.1, 0.4
-    critical = k12 + (k11 - k22) ** 2 / (4.0 * k12)
-    cells = small(stiffness_x=k11, stiffness_y=k22, stiffness_xy=k12)
-    mu = critical * np.array([0.0, 0.5, 0.999, 1.001, 1.2])
-    modes = complex_modes(cells, over={"friction": mu})
-    middle, product = 0.5 * (k11 + k22), k11 * k22 - k12 * (k12 - mu)
-    squares = middle + np.sqrt(middle**2 - product + 0j)[:, None] * np.array([-1.0, 1.0])
-    exact: Any = np.sqrt(-squares + 0j)
-    exact = np.where(np.imag(exact) < 0, -exact, exact)
-    table: Any = np.asarray(modes.eigenvalues)
-    for row, known in zip(table, exact, strict=True):
-        ordered = (sorted(a, key=lambda z: (round(z.imag, 8), z.real)) for a in (row, known))
-        first, second = ordered
-        np.testing.assert_allclose(first, second, atol=1e-9)
     growth = np.asarray(modes.growth_rate)
-    assert np.all(np.abs(growth[:3]) < 1e-12)
-    assert np.all(growth[3:].max(axis=1) > 0.005)
-    np.testing.assert_allclose(
-        modes.damping_ratio, -growth / np.abs(modes.eigenvalues), atol=1e-15
-    )
-
-
-@pytest.mark.long
-def test_without_damping_modes_meet_on_the_axis_and_nothing_crosses():
-    with pytest.raises(RuntimeError, match=r"between 0 and 0\.5.*growth rate.* is 0 to 0"):
-        find_hopf_point(small(), "friction", REST[:4], bounds=(0.0, 0.5))
+    expected = -growth / np.abs(modes.eigenvalues)
+    np.testing.assert_allclose(modes.damping_ratio, expected, atol=1e-15)
+    assert np.min(expected) < 0 < np.max(expected)
+    # A mode keeps its shape, and its slope is that of its column.
+    assert np.nanmin(modes.mac) > 0.7
+    between = np.diff(modes.eigenvalues, axis=0) / np.diff(mu)[:, None]
+    slopes = np.asarray(modes.slopes)
+    mean = 0.5 * (slopes[1:] + slopes[:-1])
+    assert np.median(np.abs(between - mean)) < 1e-3 * np.median(np.abs(mean))
 
 
 @pytest.mark.long
@@ -175,18 +145,16 @@ def test_modes_cross_without_an_exchange():
 
 
 @pytest.mark.long
-def test_modes_of_a_chain_are_those_of_steady_sliding():
-    """Double eigenvalues, waves q and -q, also have slopes."""
+def test_double_modes_of_a_chain_have_slopes():
+    """Waves q and -q."""
     chain = paper_chain(4, belt_speed=1.0, width=None)
-    modes = complex_modes(chain, over={"belt_speed": [1.0, 1.5]})
-    table: Any = np.asarray(modes.eigenvalues)
-    for row, speed in zip(table, (1.0, 1.5), strict=True):
-        known: Any = np.asarray(sliding_eigenvalues(chain, jnp.asarray(speed)))
-        known = known[known.imag > 0]
-        np.testing.assert_allclose(np.sort(row.imag), np.sort(known.imag), rtol=1e-9)
-        np.testing.assert_allclose(row.real, known.real.mean(), rtol=1e-7)
-    near = complex_modes(chain, over={"belt_speed": [1.0, 1.0001]}).growth_rate
-    np.testing.assert_allclose(jnp.real(modes.slopes[0]), (near[1] - near[0]) / 1e-4, rtol=1e-3)
+    modes = complex_modes(chain, over={"belt_speed": [1.0, 1.0001]})
+    for row, speed in zip(np.asarray(modes.eigenvalues), (1.0, 1.0001), strict=True):
+        np.testing.assert_allclose(row.real, np.exp(-2 * speed) / 2 - 0.05, rtol=1e-7)
+    growth = modes.growth_rate
+    np.testing.assert_allclose(
+        jnp.real(modes.slopes[0]), (growth[1] - growth[0]) / 1e-4, rtol=1e-3
+    )
 
 
 @pytest.mark.long

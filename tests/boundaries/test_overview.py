@@ -1,33 +1,18 @@
 """Both boundaries of a chain, and where they meet, against witnesses."""
 
 import inspect
+from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxchain import paper_chain
-from jaxchain.boundaries import fold, grazing, limit, ranges
+from jaxchain.boundaries import fold, limit, ranges
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.result import SearchResult
-
-# The grazing fold of the paper's set, from an independent continuation of slip cycles.
-DRY_FOLD = 1.836600972208
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_the_boundaries_of_the_paper():
-    found: Any = stability_range(paper_chain(1, width=1e-2), error_bars=True)
-    np.testing.assert_allclose(found.hopf, np.log(10.0) / 2, rtol=1e-13)
-    np.testing.assert_allclose(found.hopf_dry, np.log(10.0) / 2, rtol=1e-13)
-    np.testing.assert_allclose(found.fold, 1.792455775, rtol=1e-9)
-    assert abs(found.fold_dry - DRY_FOLD) <= found.fold_dry_error < 1e-9
-    assert abs(found.fold_limit - DRY_FOLD) <= found.fold_limit_error < 1e-3
-    assert all(np.isfinite(jax.tree.leaves(found)))
 
 
 def test_a_single_mass_without_damping_leaves_no_highest_speed(monkeypatch):
@@ -53,7 +38,7 @@ def test_with_error_bars_the_dry_fold_is_searched_once(monkeypatch):
 
     def search(chain, mass):
         searched.append(mass)
-        return grazing.find_grazing(chain, mass)
+        return SimpleNamespace(belt_speed=jnp.asarray(1.8), result=SearchResult.successful)
 
     monkeypatch.setattr(fold, "find_grazing", search)
     none = limit.Extrapolation(jnp.zeros(()), jnp.zeros(()), jnp.zeros(6))
@@ -61,4 +46,4 @@ def test_with_error_bars_the_dry_fold_is_searched_once(monkeypatch):
     speed, result, _, dry = limit.fold_and_limit(paper_chain(n=1, width=None), 0)
     assert searched == [0]
     assert result == SearchResult.successful
-    assert float(speed) == float(dry)
+    assert float(speed) == float(dry) == 1.8

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from witnesses.cells import Events
 
-import jaxchain as jc
-from jaxchain.cycles.floquet import floquet_multipliers, monodromy_matrix
+from jaxchain.cycles.floquet import monodromy_matrix
 from jaxchain.cycles.limit_cycle import find_limit_cycle
 from jaxchain.model import Coulomb, ExponentialDecay, MechanicalCells
 
@@ -15,7 +14,6 @@ pytestmark = pytest.mark.long
 LAW = ExponentialDecay(mu_static=1.0, mu_dynamic=0.5, v_ref=0.5)
 FORCED = MechanicalCells(1.0, damping=0.1, friction=Coulomb(1.0), force=1.6, frequency=0.6)
 TWO = MechanicalCells([[1.0, 0.3], [0.3, 2.0]], damping=0.1, friction=LAW, belt_speed=0.5)
-RING = MechanicalCells(1.0, damping=0.1, coupling=0.05, friction=LAW, belt_speed=0.8)
 
 
 def zeros(m, n=1):
@@ -52,11 +50,8 @@ def test_a_forced_cycle_is_scipys(forced, force):
     np.testing.assert_allclose(sorted_by_size(found), sorted_by_size(expected), atol=1e-6)
     assert np.count_nonzero(found == 0) == (1 if force == 1.6 else 0)
     assert cycle.stable
-    M = monodromy_matrix(cycle)
-    np.testing.assert_allclose(
-        sorted_by_size(np.linalg.eigvals(M)), sorted_by_size(found), atol=1e-7
-    )
-    np.testing.assert_array_equal(floquet_multipliers(cycle).multipliers, found)
+    values = np.linalg.eigvals(monodromy_matrix(cycle))
+    np.testing.assert_allclose(sorted_by_size(values), sorted_by_size(found), atol=1e-7)
 
 
 def test_without_a_stop_the_amplitude_is_den_hartogs():
@@ -72,11 +67,6 @@ def test_without_a_stop_the_amplitude_is_den_hartogs():
 def test_what_friction_holds_throughout_is_no_cycle():
     with pytest.raises(RuntimeError, match="steady sliding or sticking"):
         find_limit_cycle(FORCED.with_(force=0.6), zeros(2))
-
-
-def test_a_period_that_is_no_multiple_of_the_forces_is_refused():
-    with pytest.raises(ValueError, match="forced with the period 10"):
-        find_limit_cycle(FORCED, zeros(2), period=9.0)
 
 
 def test_cycles_of_two_displacements_with_one_contact_are_scipys():
@@ -98,25 +88,6 @@ def test_cycles_of_two_displacements_with_one_contact_are_scipys():
     assert complex(cycle.multipliers[-1]) == 0
     assert float(cycle.fastest[0]) == 0.5
     assert float(cycle.scaled_peak_velocity[0]) == 0.0
-
-
-def test_a_ring_has_the_cycle_of_a_chain_and_the_derivative_of_differences():
-    cycle = find_limit_cycle(RING, (jnp.array([1.5, 0.2, -0.3]), jnp.zeros(3)))
-
-    def period(speed):
-        return find_limit_cycle(RING.with_(belt_speed=speed), cycle, mass=cycle.mass).period
-
-    step = 1e-5
-    slope = (period(0.8 + step) - period(0.8 - step)) / (2 * step)
-    np.testing.assert_allclose(jax.grad(period)(0.8), slope, rtol=1e-6)
-    chain = jc.Chain(3, LAW, 0.8, 0.05, coupling=0.05)
-    same = find_limit_cycle(chain, cycle)
-    np.testing.assert_allclose(flat(cycle), flat(same), atol=1e-9)
-    for name in ("period", "amplitude", "fastest"):
-        np.testing.assert_allclose(getattr(cycle, name), getattr(same, name), atol=1e-10)
-    np.testing.assert_allclose(
-        sorted_by_size(cycle.multipliers), sorted_by_size(same.multipliers), atol=1e-7
-    )
 
 
 def test_a_forced_cycle_has_derivatives(forced):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxchain import equation_8
-from jaxchain.explorer import Session
+from jaxchain.explorer.session import Session
 from jaxchain.explorer.takeaway import follow_link, link, scene, snippet, table
 from jaxchain.model import (
     Contact,
@@ -50,17 +50,12 @@ def test_the_program_gives_the_state_in_a_fresh_python(session, tmp_path):
 
 MODELS = {
     "dry chain": lambda chains: (chains[3, None], equation_8(chains[3, None], 1)),
-    "cells with a table": lambda chains: (
-        MechanicalCells(
-            np.eye(2), force=Table([0.0, 1.0], [0.0, 1.0]), plus={"flutter": [[0, 1], [0, 0.0]]}
-        ),
-        tuple(np.zeros((4, 2))),
-    ),
     "a block on a block, and a stop": lambda _: (
         MechanicalCells(
             [[1.0, -0.2], [-0.2, 2.0]],
             mass=[1.0, 0.5],
             names=["lower", "upper"],
+            force=Table([0.0, 1.0], [0.0, 1.0]),
             plus={"softer": [[0.3, 0.0], [0.0, 0.0]]},
             contacts=[
                 Contact((1, 0), StaticKinetic(0.5, 0.3), Table([0.0, 1.0], [1.0, 1.5], 2.0), 0.2),

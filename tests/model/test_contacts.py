@@ -1,6 +1,5 @@
 """Several contacts of a cell, belts under each mass, and rigid stops."""
 
-import itertools
 from typing import Any
 
 import jax
@@ -9,100 +8,83 @@ import numpy as np
 import pytest
 from witnesses.contacts import Rigid
 
-from jaxchain import (
-    Amplitude,
-    Chain,
-    EventDriven,
-    ExponentialDecay,
-    Result,
-    StickTime,
-    find_limit_cycle,
-    simulate,
-    sweep,
-)
-from jaxchain.basins import VibratingMasses
-from jaxchain.boundaries import find_equilibrium
+from jaxchain import EventDriven, Result, StickTime, simulate
 from jaxchain.model import Contact, Coulomb, MechanicalCells, StaticKinetic, Stop
 
 # A series shorter than what suits the tolerance takes more steps, but compiles fast.
 TIGHT: dict[str, Any] = {"rtol": 1e-13, "atol": 1e-14, "solver": EventDriven(9)}
+QUICK: dict[str, Any] = {"solver": EventDriven(4)}
 # A block on a belt, and two blocks on it.
 DIRECTIONS = ((1, 0, 0), (-1, 1, 0), (-1, 0, 1))
 
 
 @jax.jit
-def blocks(K, M, mu_static, mu_kinetic, loads, belt, force, frequency) -> MechanicalCells:
+def blocks(K, M, mu_static, mu_kinetic, loads, belts, force, frequency) -> MechanicalCells:
     laws = [StaticKinetic(mu_static[i], mu_kinetic[i]) for i in range(3)]
-    contacts = [
-        Contact(e, law, loads[i], belt if i == 0 else 0.0)
-        for i, (e, law) in enumerate(zip(DIRECTIONS, laws, strict=True))
-    ]
+    contacts = [Contact(*row) for row in zip(DIRECTIONS, laws, loads, belts, strict=True)]
     drive: dict[str, Any] = {"force": force, "frequency": frequency}
     return MechanicalCells(K, mass=M, damping=0.02, contacts=contacts, **drive)
 
 
-@pytest.mark.parametrize(("seed", "drops"), [(1, False), (6, True)])
-def test_three_contacts_agree_with_scipy(seed: int, drops: bool):
+def of_witness(contacts):
+    """Contacts (e, mu_static, mu_kinetic, load, belt) as SciPy's program wants them."""
+    return [
+        (np.array(e, float), mu, lambda w, k=k: k, lambda t, q, v, p=p: p, lambda t, b=b: b)
+        for e, mu, k, p, b in contacts
+    ]
+
+
+def time_of_sticking(events, contact: int, t1: float) -> float:
+    """By the modes after each event."""
+    ends = zip(events, [*events[1:], (t1, None)], strict=True)
+    return sum(later - t for (t, mode), (later, _) in ends if mode[contact] == 0)
+
+
+@pytest.mark.parametrize(
+    ("seed", "drops", "upper"), [(1, False, (-0.1, 0.1)), (6, True, (-0.1, -0.2))]
+)
+def test_three_contacts_agree_with_scipy(seed: int, drops: bool, upper: tuple):
     draw = np.random.default_rng(seed)
     shear = draw.uniform(0.3, 1, (3, 3))
     K = np.diag(draw.uniform(0.8, 3, 3)) - 0.1 * (shear + shear.T) * (1 - np.eye(3))
     M, mu_static = np.diag(draw.uniform(0.5, 2, 3)), draw.uniform(0.3, 0.7, 3)
     mu_kinetic = mu_static * draw.uniform(0.4, 1, 3) if drops else mu_static
-    loads, belt = np.array([2.5, 0.7, 0.6]), draw.uniform(0.2, 0.6)
+    loads, belts = np.array([2.5, 0.7, 0.6]), np.array([draw.uniform(0.2, 0.6), *upper])
     force, omega = np.array([0, *draw.uniform(0.3, 1.2, 2)]), draw.uniform(0.4, 1.3)
     start = draw.normal(0, 0.3, (6, 1))
-    cells = blocks(K, M, mu_static, mu_kinetic, loads, belt, force, omega)
-    run = simulate(cells, tuple(jnp.asarray(start)), 30.0, **TIGHT)
-    contacts = [
-        (np.array(e, float), mu, lambda w, k=k: k, lambda t, q, v, p=p: p, lambda t, b=b: b)
-        for e, mu, k, p, b in zip(
-            DIRECTIONS, mu_static, mu_kinetic, loads, (belt, 0, 0), strict=True
-        )
-    ]
+    cells = blocks(K, M, mu_static, mu_kinetic, loads, belts, force, omega)
+    watch = [StickTime(contact=i) for i in (0, 1)]
+    run = simulate(cells, tuple(jnp.asarray(start)), 30.0, observe=watch, **TIGHT)
+    contacts = of_witness(zip(DIRECTIONS, mu_static, mu_kinetic, loads, belts, strict=True))
     witness = Rigid(M, lambda t, q, v: force * np.cos(omega * t) - K @ q - 0.02 * v, contacts)
     expected, events = witness.run(start[:3, 0], start[3:, 0], 30.0)
     assert len(events) >= 20
     assert not witness.ambiguous
     np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-11)
+    stuck = [time_of_sticking(events, i, 30.0) for i in (0, 1)]
+    np.testing.assert_allclose(np.ravel(run.observed), stuck, atol=1e-8)
+    assert max(stuck) > 1.0
     assert run.steps < 500
 
 
-def test_the_time_for_which_each_contact_sticks():
-    law = ExponentialDecay(1.0, 0.5, 0.5)
-    speeds, start = [0.5, -0.8, 1.1], (jnp.array([0.3, 0.1, -0.2]), jnp.array([0.0, 0.2, 0.1]))
-    chain = Chain(3, law, jnp.array(speeds), coupling=0.05)
-    run = simulate(chain, start, 40.0, observe=StickTime(), **TIGHT)
-    matrix = 1.15 * np.eye(3) - 0.05
-    contacts = [Contact(np.eye(3)[i], law, 1.0, v) for i, v in enumerate(speeds)]
-    cells = MechanicalCells(matrix, damping=0.1, contacts=contacts)
-    each = [StickTime(contact=i) for i in range(3)]
-    one_cell = tuple(jnp.concatenate(start)[:, None])
-    other = simulate(cells, one_cell, 40.0, observe=each, **TIGHT)
-    np.testing.assert_allclose(np.ravel(other.state), np.ravel(run.state), atol=1e-11)
-    np.testing.assert_allclose(np.ravel(other.observed), run.observed, atol=1e-9)
-    assert np.all(run.observed > 1.0)
-
-
 def test_cells_side_by_side_have_numbers_of_their_own():
-    K = np.array([[1.0, -0.2], [-0.2, 1.5]])
-    law = StaticKinetic(jnp.array([0.5, 0.4]), 0.3)
-    contact = Contact((1, -1), law, jnp.array([1.0, 0.8]))
-    wave: dict[str, Any] = {"force": jnp.array([0.7, 0.0]), "frequency": 0.9}
-    two = MechanicalCells(K, damping=0.03, coupling=0.05, contacts=[contact], **wave)
-    y = jnp.array([[0.1, 0.2], [0.0, 0.1], [0.0, 0.3], [0.2, 0.0]])
-    run = simulate(two, tuple(y), 20.0, **TIGHT)
-    C = 0.1 * np.kron([[1, -1], [-1, 1]], np.eye(2))  # a ring of two meets itself on both sides
-    contacts = [
-        Contact((1, -1, 0, 0), StaticKinetic(0.5, 0.3)),
-        Contact((0, 0, 1, -1), StaticKinetic(0.4, 0.3), 0.8),
-    ]
-    wave = {"force": jnp.array([0.7, 0.0, 0.7, 0.0]), "frequency": 0.9}
-    one = MechanicalCells(np.kron(np.eye(2), K) + C, damping=0.03, contacts=contacts, **wave)
-    start = jnp.concatenate([y[:2].T.ravel(), y[2:].T.ravel()])[:, None]
-    other = simulate(one, tuple(start), 20.0, **TIGHT)
-    state = np.stack(run.state)
-    same = np.concatenate([state[:2].T.ravel(), state[2:].T.ravel()])
-    np.testing.assert_allclose(np.ravel(other.state), same, atol=1e-11)
+    """Two masses between two belts each, which run against each other."""
+    laws = StaticKinetic(jnp.array([0.5, 0.4]), 0.3), StaticKinetic(0.3, jnp.array([0.2, 0.1]))
+    loads, belts = np.array([[1.0, 0.8], [0.5, 0.7]]), (0.3, -0.2)
+    contacts = [Contact(1.0, *row) for row in zip(laws, loads, belts, strict=True)]
+    two = MechanicalCells(
+        1.0, damping=0.03, coupling=0.05, contacts=contacts, force=0.7, frequency=0.9
+    )
+    y = np.array([[0.1, 0.2], [0.0, 0.3]])
+    run = simulate(two, tuple(map(jnp.asarray, y)), 20.0, **TIGHT)
+    # A ring of two meets itself on both sides.
+    K, units = np.eye(2) + 0.1 * np.array([[1, -1], [-1, 1]]), np.eye(2)
+    force = lambda t, q, v: 0.7 * np.cos(0.9 * t) - K @ q - 0.03 * v
+    numbers = zip((0.5, 0.4, 0.3, 0.3), (0.3, 0.3, 0.2, 0.1), loads.ravel(), strict=True)
+    each = [(units[i % 2], *row, belts[i // 2]) for i, row in enumerate(numbers)]
+    expected, events = Rigid(units, force, of_witness(each)).run(*y, 20.0)
+    assert len(events) >= 10
+    np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-11)
 
 
 def test_contacts_that_hold_the_same_twice_are_named():
@@ -110,20 +92,20 @@ def test_contacts_that_hold_the_same_twice_are_named():
     twice = [Contact(1.0, law, 1.0, 0.2), Contact(1.0, law, 0.5, 0.2)]
     cells = MechanicalCells(1.0, damping=0.05, contacts=twice)
     start = jnp.array([0.1]), jnp.zeros(1)
-    run = simulate(cells, start, 20.0, throw=False)
+    run = simulate(cells, start, 20.0, throw=False, **QUICK)
     assert run.outcome == "forces_not_unique"
     assert run.t < 1.0  # where it first sticks
     with pytest.raises(RuntimeError, match="hold the same displacements twice"):
-        simulate(cells, start, 20.0)
+        simulate(cells, start, 20.0, **QUICK)
     # At rest from the start, but pulled away from both.
     stays, leaves = (jnp.array([x]) for x in (0.5, 1.5))
     zero = jnp.zeros(1)
     still = cells.with_(**{"contacts[0].belt_speed": 0.0, "contacts[1].belt_speed": 0.0})
-    assert simulate(still, (stays, zero), 1.0, throw=False).outcome == "forces_not_unique"
-    assert simulate(still, (leaves, zero), 1.0).outcome == "successful"
+    assert simulate(still, (stays, zero), 1.0, throw=False, **QUICK).outcome == "forces_not_unique"
+    assert simulate(still, (leaves, zero), 1.0, **QUICK).outcome == "successful"
     # With belts of two speeds it sticks to one at a time.
     apart = cells.with_(**{"contacts[1].belt_speed": -0.1})
-    assert simulate(apart, start, 20.0).outcome == "successful"
+    assert simulate(apart, start, 20.0, **QUICK).outcome == "successful"
 
 
 IMPACTS: dict[str, Any] = {"stops": [Stop(1.0, 0.6, 0.3), Stop(-1.0, 0.4, 0.7)]}
@@ -132,86 +114,60 @@ RUBS = MechanicalCells(1.0, friction=StaticKinetic(0.3, 0.2), belt_speed=0.3, **
 BEGIN = jnp.array([0.1]), jnp.array([0.2])
 
 
+NAMES = "stops[0].restitution", "stops[1].gap", "mu_kinetic", "force"
+
+
+@jax.jit
+def end_and_slopes(a, belt_speed, t1):
+    """(x, v and time of sticking of RUBS, its derivatives by `NAMES` and the start, steps)."""
+
+    def end(a):
+        cells = RUBS.with_(belt_speed=belt_speed, **dict(zip(NAMES, a[:4], strict=True)))
+        run = simulate(cells, (a[4:5], a[5:]), t1, observe=StickTime(), throw=False, **TIGHT)
+        return jnp.concatenate([*run.state, run.observed]), run.steps
+
+    def twice(a):
+        found, steps = end(a)
+        return found, (found, steps)
+
+    slopes, (found, steps) = jax.jacfwd(twice, has_aux=True)(a)
+    return found, slopes, steps
+
+
+USUAL = np.array([0.3, 0.4, 0.2, 0.9, 0.1, 0.2])
+
+
 def test_impacts_agree_with_scipy():
-    cells = RUBS.with_(belt_speed=0.1)
-    run = simulate(cells, BEGIN, 60.0, observe=StickTime(), **TIGHT)
+    found, _, steps = end_and_slopes(USUAL, 0.1, 60.0)
     one = np.ones(1)
-    belt = (one, 0.3, lambda w: 0.2, lambda t, q, v: 1.0, lambda t: 0.1)
-    stops = [(one, 0.6, 0.3), (-one, 0.4, 0.7)]
-    witness = Rigid(1.0, lambda t, q, v: 0.9 * np.cos(0.8 * t) - q - 0.05 * v, [belt], stops)
-    expected, events = witness.run([0.1], [0.2], 60.0)
+    contacts, stops = of_witness([(one, 0.3, 0.2, 1.0, 0.1)]), [(one, 0.6, 0.3), (-one, 0.4, 0.7)]
+    force = lambda t, q, v: 0.9 * np.cos(0.8 * t) - q - 0.05 * v
+    expected, events = Rigid(1.0, force, contacts, stops).run([0.1], [0.2], 60.0)
     assert len(events) > 40
-    held = [later - t for (t, mode), (later, _) in itertools.pairwise(events) if mode == (0,)]
-    assert run.observed[0] == pytest.approx(sum(held), abs=1e-8)
-    assert sum(held) > 1.0
-    np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-11)
-    assert run.steps < 1000
+    stuck = time_of_sticking(events, 0, 60.0)
+    assert stuck > 1.0
+    np.testing.assert_allclose(found[:2], expected, atol=1e-11)
+    assert found[2] == pytest.approx(stuck, abs=1e-8)
+    assert steps < 1000
 
 
-@pytest.mark.parametrize("speed", [0.0, 1.5])
-def test_a_list_of_one_contact_is_that_contact(speed: float):
-    law = ExponentialDecay(1.0, 0.5, 0.5)
-    one = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=speed)
-    listed = MechanicalCells(1.0, damping=0.1, contacts=[Contact(1.0, law, 1.0, speed)])
-    at = jnp.array([0.3]), jnp.zeros(1)
-    expected, found = find_equilibrium(one, at), find_equilibrium(listed, at)
-    np.testing.assert_array_equal(found.state, expected.state)
-    np.testing.assert_array_equal(found.interval, expected.interval)
-    names = [VibratingMasses(above=0.5).name(np.zeros(1, int), cells) for cells in (one, listed)]
-    assert names[0] == names[1]
-
-
-def test_impacts_have_no_units():
-    # Lengths by 1e-6 and times by 1e-3, as in SI units of a small machine.
-    stop = Stop(1.0, 0.6, 0.5)
-    one = MechanicalCells(1.0, **WAVE, stops=[stop])
-    length, time = 1e-6, 1e-3
-    small = MechanicalCells(
-        time**-2,
-        damping=0.05 / time,
-        force=0.9 * length / time**2,
-        frequency=0.8 / time,
-        stops=[Stop(1.0, 0.6 * length, 0.5)],
-    )
-    run = simulate(one, BEGIN, 40.0)
-    begin = BEGIN[0] * length, BEGIN[1] * length / time
-    scaled = simulate(small, begin, 40.0 * time)
-    np.testing.assert_allclose(scaled.state[0] / length, run.state[0], rtol=1e-9)
-    assert scaled.steps == run.steps
-
-
-def test_an_impact_is_part_of_a_cycle():
-    cells = MechanicalCells(1.0, **WAVE, stops=[Stop(1.0, 0.6, 0.5)])
-    cycle = find_limit_cycle(cells, guess=simulate(cells, BEGIN, 100.0))
-    # Free flight contracts areas by exp(-c T), each impact by R^2.
-    area = 0.25 * np.exp(-0.05 * float(cycle.period))
-    assert abs(np.prod(cycle.multipliers)) == pytest.approx(area, rel=1e-9)
+def test_gradients_of_impacts_releases_and_landings():
+    _, slopes, _ = end_and_slopes(USUAL, 0.3, 12.0)
+    differences = [
+        (end_and_slopes(USUAL + h, 0.3, 12.0)[0] - end_and_slopes(USUAL - h, 0.3, 12.0)[0]) / 2e-5
+        for h in 1e-5 * np.eye(6)
+    ]
+    np.testing.assert_allclose(slopes, np.transpose(differences), atol=2e-7, rtol=1e-6)
 
 
 @pytest.mark.parametrize("restitution", [0.3, 0.9])
 def test_bounces_that_accumulate_are_named_where_they_end(restitution: float):
     floor = Stop(-1.0, gap=0.5, restitution=restitution)
     ball = MechanicalCells(0.0, force=lambda t: -1.0, stops=[floor])
-    run = simulate(ball, (jnp.zeros(1), jnp.zeros(1)), 300.0, throw=False)
+    run = simulate(ball, (jnp.zeros(1), jnp.zeros(1)), 300.0, throw=False, **QUICK)
     assert run.result == Result.bounces_accumulate
     # Falls for 1, and then bounces for 2 R, 2 R^2, ...
     assert run.t == pytest.approx(1.0 + 2.0 * restitution / (1.0 - restitution), rel=1e-9)
-
-
-def test_gradients_of_impacts_releases_and_landings():
-    names = ["stops[0].restitution", "stops[1].gap", "mu_kinetic", "force"]
-
-    def end(a):
-        cells = RUBS.with_(**dict(zip(names, a, strict=True)))
-        x = simulate(cells, BEGIN, 12.0, **TIGHT).state[0][0]
-        return x, x
-
-    a = jnp.array([0.3, 0.4, 0.2, 0.9])
-    both = jax.jit(jax.jacfwd(end, has_aux=True))
-    slopes, _ = both(a)
-    h = 1e-5 * np.eye(4)
-    differences = [(both(a + one)[1] - both(a - one)[1]) / 2e-5 for one in h]
-    np.testing.assert_allclose(slopes, differences, atol=2e-8, rtol=1e-7)
 
 
 @pytest.mark.long
@@ -238,21 +194,6 @@ def test_two_cells_that_are_hit_at_one_time_are_disturbed_apart():
     np.testing.assert_allclose(together[:, 1], 0.0, atol=1e-12)
 
 
-def test_numbers_of_parts_are_swept_by_name():
-    over = {"contacts[0].mu_static": [0.4, 0.5], "contacts[1].normal_load": [0.7, 0.9]}
-    contacts = [Contact((1, 0), StaticKinetic(0.5, 0.3), 1.0, 0.4), Contact((1, -1), Coulomb(0.2))]
-    cells = MechanicalCells([[1.0, 0.1], [0.1, 2.0]], contacts=contacts, damping=0.1)
-    start = tuple(jnp.zeros((4, 1)))
-    quick = {"observe": Amplitude(5.0), "solver": EventDriven(4)}
-    found = sweep(cells, start, 10.0, over=over, **quick)
-    one = {name: values[1] for name, values in over.items()}
-    alone = simulate(cells.with_(**one), start, 10.0, **quick)
-    np.testing.assert_allclose(found.amplitude.sel(one), alone.observed, rtol=1e-6)
-    assert cells.value_of("contacts[1].normal_load") == 1.0
-    with pytest.raises(ValueError, match=r"contacts\[2\]"):
-        cells.with_(**{"contacts[2].normal_load": 1.0})
-
-
 RUBBER, SMOOTH = Coulomb(0.3), Coulomb(0.3).with_(width=0.1)
 PAD = Contact(1.0, RUBBER)
 
@@ -260,11 +201,6 @@ PAD = Contact(1.0, RUBBER)
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: Contact((0, 0), Coulomb(0.3)), "not all 0"),
-        (lambda: Contact((1, 0), 0.3), "friction law"),
-        (lambda: Contact((1, 0), Coulomb(0.3), -1.0), "cannot pull"),
-        (lambda: Stop(1.0, 0.5, 0.0), "positive"),
-        (lambda: Stop(1.0, 0.5, 1.1), "at most 1"),
         (lambda: MechanicalCells(1.0, stops=[Stop((1, 0), 1.0)]), r"stops\[0\].direction"),
         (lambda: MechanicalCells(1.0, contacts=PAD), "a list"),
         (lambda: MechanicalCells(1.0, friction=RUBBER, contacts=[PAD]), "exclude each other"),

@@ -28,10 +28,8 @@ def test_entries_are_set_one_by_one():
     assert float(changed.value_of("force[1]")) == 0.7
     chain = paper_chain(3, damping_ratio=jnp.full(3, 0.05)).with_(**{"damping_ratio[2]": 0.2})
     np.testing.assert_array_equal(chain.damping_ratio, [0.05, 0.05, 0.2])
-    slope = jax.grad(
-        lambda k: pads().with_(**{"stiffness[0, 1]": k})(0.0, (jnp.ones(1),) * 4)[2][0]
-    )
-    assert float(slope(0.3)) == -1.0
+    rate = lambda k: pads().with_(**{"stiffness[0, 1]": k})(0.0, (jnp.ones(1),) * 4)[2][0]
+    assert float(jax.jit(jax.grad(rate))(0.3)) == -1.0
 
 
 @pytest.mark.parametrize(
@@ -78,7 +76,6 @@ def test_factors_multiply_matrices_of_any_size():
         ({"plus": {"friction": {"spring": KF}}}, "must be the matrix that is added"),
         ({"plus": {"friction": np.ones((3, 3))}}, "must be one number, or of shape"),
         ({"plus": {"a b": KF}}, "must have names as keys"),
-        ({"plus": KF}, "must be a dict of names and matrices"),
     ],
 )
 def test_bad_factors_are_refused(parts, names):

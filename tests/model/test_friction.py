@@ -30,29 +30,31 @@ LAWS = {
 }  # fmt: skip
 
 
-def paper_law():
-    return ExponentialDecay(1.0, 0.5, 0.5)
-
-
 @pytest.mark.parametrize("make", LAWS)
 def test_a_law_dry_and_smoothed(make):
     parameters, mu = LAWS[make]
     law = make(*parameters)
-    np.testing.assert_allclose(law.coefficient(jnp.asarray(SPEEDS)), mu(SPEEDS), rtol=1e-15)
-    assert law.coefficient(0.0) == law.mu_static
+    coefficient = np.asarray(jax.jit(lambda speed: law.coefficient(speed))(SPEEDS))
+    np.testing.assert_allclose(coefficient, mu(SPEEDS), rtol=1e-15)
+    assert coefficient[0] == law.mu_static
+
+    @jax.jit
+    def force_and_slope(friction, w):
+        return *friction.force_and_slope(w), friction.force(w)
+
     # Odd, against the motion, and dry friction far from rest.
-    friction, w = TanhFriction(law, 1e-3), jnp.asarray(SPEEDS[1:])
-    force = friction.force(w)
-    np.testing.assert_array_equal(friction.force(-w), -force)
+    w, narrow = SPEEDS, TanhFriction(law, 1e-3)
+    _, slope, force = map(np.asarray, force_and_slope(narrow, w))
+    np.testing.assert_array_equal(force_and_slope(narrow, -w)[2], -force)
     np.testing.assert_allclose(force, -mu(w) * np.tanh(w / 1e-3), rtol=1e-14)
-    np.testing.assert_array_equal(force[3:], -law.coefficient(w[3:]))
-    at_rest = friction.force_and_slope(0.0)
-    np.testing.assert_allclose(at_rest, (0.0, -law.mu_static / 1e-3), rtol=1e-15)
+    np.testing.assert_array_equal(force[4:], -coefficient[4:])
+    np.testing.assert_allclose(slope[0], -law.mu_static / 1e-3, rtol=1e-15)
     # The central difference is wrong by h^2 F''' / 6, and |F'''| < 3 / width^3.
-    friction, w, h = TanhFriction(law, 0.1), jnp.array([-1.3, -0.2, -0.05, 0.04, 0.3, 0.7]), 1e-5
-    value, slope = jax.jit(lambda friction, w: friction.force_and_slope(w))(friction, w)
-    np.testing.assert_allclose(value, friction.force(w), rtol=1e-14)
-    difference = (friction.force(w + h) - friction.force(w - h)) / (2.0 * h)
+    friction, w, h = TanhFriction(law, 0.1), np.array([-1.3, -0.2, -0.05, 0.04, 0.3, 0.7]), 1e-5
+    value, slope, force = force_and_slope(friction, w)
+    np.testing.assert_allclose(value, force, rtol=1e-14)
+    high, low = (np.asarray(force_and_slope(friction, w + side)[2]) for side in (h, -h))
+    difference = (high - low) / (2.0 * h)
     np.testing.assert_allclose(slope, difference, atol=h**2 * 3.0 / 0.1**3)
 
     @jax.jit
@@ -70,36 +72,39 @@ def test_a_law_dry_and_smoothed(make):
 
 
 def test_the_greatest_force_falls_short_of_mu_static_as_predicted():
-    for width in (1e-1, 1e-2, 1e-3, 1e-4):
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    force = jax.jit(lambda friction, w: friction.force(w))
+    for width in (1e-1, 1e-2, 1e-4):
         # mu tanh is greatest near w = (eps / 2) ln(4 / eps); a fine grid there is enough.
-        friction = TanhFriction(paper_law(), width)
+        friction = TanhFriction(law, width)
         at = 0.5 * width * np.log(4.0 / width)
         w = np.linspace(0.5 * at, 2.0 * at, 20001)
-        greatest = np.max(-friction.force(jnp.asarray(w)))
+        forces = -np.asarray(force(friction, w))
+        greatest = np.max(forces)
         predicted = 1.0 - 0.5 * width * (np.log(4.0 / width) + 1.0)
         # The next term is mu'' w^2 / 2 = w^2 at the maximum.
         assert abs(greatest - predicted) < 1.5 * at**2, width
         # A mass sticks up to that speed.
-        at = w[np.argmax(np.abs(friction.force(jnp.asarray(w))))]
+        at = w[np.argmax(forces)]
         np.testing.assert_allclose(friction.stick_speed(), at, rtol=20 * width)
         if width == 1e-2:
             np.testing.assert_allclose(greatest, 0.966, atol=5e-4)
 
 
 def test_parameters_per_mass_act_mass_by_mass():
-    mu_static, v_ref = jnp.array([0.9, 1.0, 1.2]), jnp.array([0.4, 0.5, 0.6])
-    w, width = jnp.array([-0.3, 0.01, 0.5]), jnp.array([1e-2, 2e-2, 1e-3])
+    numbers = np.array(
+        [[0.9, 1.0, 1.2], [0.4, 0.5, 0.6], [1e-2, 2e-2, 1e-3], [-0.3, 0.01, 0.5]]
+    )  # fmt: skip
 
+    @jax.jit
     def make(mu_static, v_ref, width, w):
         law = ExponentialDecay(mu_static, 0.5, v_ref)
         return jnp.stack(TanhFriction(law, width).force_and_slope(w))
 
-    numbers = mu_static, v_ref, width, w
-    together, lanes = make(*numbers), jax.vmap(make)(*numbers).T
-    np.testing.assert_allclose(lanes, together, rtol=1e-14)
+    together = np.asarray(make(*numbers))
+    np.testing.assert_allclose(jax.jit(jax.vmap(make))(*numbers).T, together, rtol=1e-14)
     for n in range(3):
-        alone = make(*(number[n] for number in numbers))
-        np.testing.assert_allclose(together[:, n], alone, rtol=1e-14)
+        np.testing.assert_allclose(together[:, n], make(*numbers[:, n]), rtol=1e-14)
     np.testing.assert_array_equal(Coulomb(jnp.array([0.3, 0.4])).coefficient(1.0), [0.3, 0.4])
 
 
@@ -108,7 +113,7 @@ def test_friction_at_rest_may_exceed_mu_0_of_a_dry_law_only():
     np.testing.assert_array_equal(law.coefficient(SPEEDS), 0.4)
     np.testing.assert_array_equal(law.force(jnp.array([-0.1, 0.0, 0.1])), [0.4, 0.0, -0.4])
     assert float(law.drop()) == pytest.approx(0.2)
-    assert paper_law().drop() is None
+    assert ExponentialDecay(1.0, 0.5, 0.5).drop() is None
     falls: Any = Held(0.6, 0.5)
     assert float(falls.drop()) == pytest.approx(0.1)
     for one in (law, falls):

@@ -3,7 +3,6 @@
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from jaxchain.model.friction import AbstractFrictionLaw
@@ -43,9 +42,7 @@ class Scalar(Law):
         (lambda: Linear(1.0, 0.5), r"`Linear` is negative at the speed 2\.0\d+: mu = -0\.0"),
         (lambda: Linear(jnp.array([0.1, 1.0]), 1e-2 / 3), r"negative at the speed 30\.\d+:"),
         (lambda: Pole(), r"`Pole` is not finite at the speed 0\.5\d*: mu = nan"),
-        (lambda: Linear(np.nan), "is not finite at the speed 0: mu = nan"),
         (lambda: Jump(1.0, 0.7), r"`Jump` jumps at the speed 0\.7, by 0\.1\."),
-        (lambda: Jump(1.0, 3e-7, -1e-3), r"jumps at the speed 3e-07, by 0\.001\."),
         (lambda: Jump(1.0, 99.0, 1e-3), r"jumps at the speed 99, by 0\.001\."),
         (
             lambda: Jump(1.0, 0.0),

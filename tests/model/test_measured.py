@@ -1,6 +1,6 @@
 import pytest
 
-from jaxchain.model.measured import check_measured, read_curve
+from jaxchain.model.measured import read_curve
 
 
 def written(folder, text):
@@ -34,20 +34,3 @@ def test_two_columns_are_read_as_people_write_them(tmp_path, text):
 def test_a_line_that_is_no_pair_of_numbers_is_named(tmp_path, text, line):
     with pytest.raises(ValueError, match=line):
         read_curve(written(tmp_path, text))
-
-
-@pytest.mark.parametrize(
-    ("speed", "mu", "message"),
-    [
-        ([0.0], [1.0], "at least two, but there are 1 and 1"),
-        ([0.0, 1.0], [1.0, 0.5, 0.4], "there are 2 and 3"),
-        ([0.1, 1.0], [1.0, 0.5], "the first speed must be 0, but is 0.1"),
-        ([0.0, 1.0, 1.0], [1.0, 0.5, 0.4], "speeds must rise, but 1 is followed by 1"),
-        ([0.0, 2.0, 1.0], [1.0, 0.5, 0.4], "2 is followed by 1"),
-        ([0.0, 1.0], [1.0, -0.5], "every friction coefficient must .* one is -0.5"),
-        ([0.0, float("nan")], [1.0, 0.5], "every speed must .* one is nan"),
-    ],
-)
-def test_an_impossible_curve_of_friction_is_refused(speed, mu, message):
-    with pytest.raises(ValueError, match=message):
-        check_measured(speed, mu)

@@ -30,8 +30,8 @@ def make_springs(kind, n, ends):
 
 
 CASES = [
-    ("uniform", 1, "cyclic"), ("uniform", 2, "cyclic"), ("uniform", 3, "free"),
-    ("each its own", 2, "cyclic"), ("each its own", 3, "cyclic"), ("each its own", 20, "free"),
+    ("uniform", 1, "cyclic"), ("uniform", 3, "free"),
+    ("each its own", 2, "cyclic"), ("each its own", 20, "free"),
 ]  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def test_neighbours_are_those_of_a_ring_or_of_a_chain():
     assert neighbour_sum(jnp.array([1.0, 5.0]), "cyclic").tolist() == [10, 2]
 
 
-@pytest.mark.parametrize("sweeps", [0, 1, 3])
+@pytest.mark.parametrize("sweeps", [0, 3])
 def test_sweeps_keep_their_bound_on_both_sides(sweeps):
     springs, _ = make_springs("each its own", 20, "cyclic")
     rhs = jnp.asarray(np.random.default_rng(1).normal(size=20))
@@ -78,16 +78,16 @@ def test_sweeps_keep_their_bound_on_both_sides(sweeps):
     def computed(scale):
         diagonal = jnp.linspace(1.0, 2.0, 20) + scale * springs.row_sum(20)
         solver = spring_solver(diagonal, springs, scale, sweeps)
-        return diagonal, *solver.solve(rhs), solver.contraction
+        return diagonal, springs.dense(20), *solver.solve(rhs), solver.contraction
 
     for scale in (1e-4, 1e-2, 0.3):
-        diagonal, b, product, rho = map(np.asarray, computed(scale))
-        exact = np.linalg.solve(np.diag(diagonal) - scale * np.asarray(springs.dense(20)), rhs)
+        diagonal, dense, b, product, rho = map(np.asarray, computed(scale))
+        exact = np.linalg.solve(np.diag(diagonal) - scale * dense, rhs)
         error = np.max(np.abs(b - exact))
-        start = np.max(np.abs(rhs / diagonal))
+        start = np.max(np.abs(np.asarray(rhs) / diagonal))
         assert error <= rho ** (sweeps + 1) / (1 - rho) * start + 1e-15
         # The bound is not idle: the error is of its order of magnitude.
         assert error >= 1e-3 * rho ** (sweeps + 1) * start
         # The product C b comes from the sweep before, and errs by one power of rho more.
-        lag = np.max(np.abs(scale / diagonal * (product - springs.product(jnp.asarray(exact)))))
+        lag = np.max(np.abs(scale / diagonal * (product - dense @ exact)))
         assert lag <= rho ** (sweeps + 1) / (1 - rho) * start + 1e-15

@@ -73,31 +73,16 @@ def test_special_points_are_marked_where_they_are_and_named():
     assert len(set(looks)) == len({marker for marker, _ in looks}) == len(MARKS)
 
 
-def test_axes_say_symbol_and_unit_dimensionless_and_in_si():
-    axes = plot_branch(cycle_branch())
+def test_axes_in_si_units_have_scaled_numbers():
+    axes, si = plot_branch(cycle_branch()), plot_branch(cycle_branch(), scales=SCALES)
     assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
-    assert axes.get_ylabel() == r"vibration energy $\tilde E$ (–)"
-    si = plot_branch(cycle_branch(), scales=SCALES)
-    assert si.get_xlabel() == "belt speed $v_d$ (m/s)"
-    assert si.get_ylabel() == "vibration energy $E$ (m²)"
+    assert (si.get_xlabel(), si.get_ylabel()) == (
+        "belt speed $v_d$ (m/s)", "vibration energy $E$ (m²)",
+    )  # fmt: skip
     for plain, own in zip(axes.get_lines(), si.get_lines(), strict=True):
         # x0 = P / k = 0.05 m, and omega_n = 10 / s.
-        np.testing.assert_allclose(
-            np.asarray(own.get_xydata()),
-            np.asarray(plain.get_xydata()) * [0.5, 0.0025],
-            rtol=1e-12,
-        )
-
-
-def test_one_oscillator_shows_its_amplitude_and_several_need_one_to_be_taken():
-    axes = plot_branch(cycle_branch(1))
-    assert axes.get_ylabel() == r"vibration amplitude $\tilde A_n$ (–)"
-    branch = cycle_branch(2)
-    with pytest.raises(ValueError, match=r"`y` = 'amplitude' has the dimension `oscillator` of 2"):
-        plot_branch(branch, "amplitude")
-    second = branch.to_dataset().sel(oscillator=2)
-    line, *_ = plot_branch(second, "amplitude").get_lines()
-    np.testing.assert_array_equal(points(line)[1][:4], branch.amplitude[:4, 1])
+        scaled = np.asarray(plain.get_xydata()) * [0.5, 0.0025]
+        np.testing.assert_allclose(np.asarray(own.get_xydata()), scaled, rtol=1e-12)
 
 
 def test_branches_lie_on_axes_that_are_given_each_word_once_in_the_legend():

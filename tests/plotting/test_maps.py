@@ -11,7 +11,6 @@ from synthetic import results, special_curve
 from jaxchain.plotting.branches import PARTS, plot_special_curves
 from jaxchain.plotting.colours import GREY, RED
 from jaxchain.plotting.maps import plot_map
-from jaxchain.plotting.style import shades
 from jaxchain.result import NAMES
 
 SPEEDS, DAMPING = np.array([1.0, 1.2, 1.6]), np.array([0.1, 0.2])
@@ -43,20 +42,6 @@ def test_each_run_is_a_cell_at_its_place_whichever_way_round_the_axes_are():
     assert upright.get_xlim() == pytest.approx((0.9, 1.8))
     assert upright.get_xlabel() == lying.get_ylabel() == r"belt speed $\tilde v_d$ (–)"
     assert bar(upright).get_ylabel() == r"vibration energy $\tilde E$ (–)"
-
-
-def test_the_cell_under_a_point_of_the_picture_has_the_colour_of_its_run():
-    data = runs()
-    axes = plot_map(data, value="active_count")
-    page: Any = axes.get_figure(root=True)
-    page.canvas.draw()
-    pixels = np.asarray(page.canvas.buffer_rgba())
-    colours = (255 * shades(4)(np.arange(4))).round()
-    for i, speed in enumerate(SPEEDS):
-        for j, damping in enumerate(DAMPING):
-            across, up = axes.transData.transform((speed, damping)).astype(int)
-            count = int(data.active_count[i, j])
-            np.testing.assert_allclose(pixels[-1 - up, across], colours[count], atol=1)
 
 
 def test_whole_numbers_have_a_colour_each_and_all_others_a_range():

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 from drawn import across, height, labelled, legend
-from matplotlib.colors import to_hex
 from synthetic import ladder, results, single
 
 from jaxchain.plotting import pages
@@ -61,27 +60,17 @@ def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
     assert where(*labelled(axes, "steady sliding")) == [1.3, 1.0, 1.3]
 
 
-def shaken():
+def test_only_what_does_not_move_slides_steadily():
     """One mass that has not come to rest at 1.3 ... 1.9, for its two smaller starts."""
     data = single()
     quiet = data.active_count == 0
     data["amplitude"] = data.amplitude.where(~quiet | (data.displacement > 1), 0.3)
-    data["energy"] = 0.5 * (data.amplitude**2).sum("oscillator")
-    return data
-
-
-@pytest.mark.parametrize("left_out", ["energy", "amplitude"])
-def test_only_what_does_not_move_slides_steadily(left_out):
-    data = shaken().drop_vars(left_out)
-    (axes,) = named_panels(figure({"single": data}))
+    (axes,) = named_panels(figure({"single": data.drop_vars("energy")}))
     (resting,), (moving,) = labelled(axes, "steady sliding"), labelled(axes, pages.NOT_VIBRATING)
-    (vibrating,) = labelled(axes, "vibrating")
     assert where(resting) == [1.9, 1.9]
     assert sorted(where(moving)) == [1.3, 1.3, 1.6, 1.6, 1.9, 1.9]
     np.testing.assert_allclose(np.asarray(moving.get_ydata()), 0.3)
-    three = (resting, moving, vibrating)
-    assert len({str(line.get_marker()) for line in three}) == 3
-    assert len({to_hex(line.get_color()) for line in three}) == 3
+    assert resting.get_marker() != moving.get_marker()
     text = summary("single", data)
     assert "sliding       at belt speeds 1.9\n" in text
     assert "weak          at belt speeds 1.3 to 1.9: moves, but no mass above v_d / 2" in text
@@ -97,7 +86,7 @@ def test_the_hopf_speed_is_read_off_the_data():
     assert dict(matplotlib.rcParams) == before
 
 
-@pytest.mark.parametrize("values", [None, np.nan, [1.1, 1.2], [np.nan, 1.2]])
+@pytest.mark.parametrize("values", [None, np.nan, [np.nan, 1.2]])
 def test_no_hopf_speed_is_drawn_that_is_not_that_of_all_runs(values):
     data = single().drop_vars("hopf_belt_speed")
     if values is not None:
@@ -144,6 +133,7 @@ def test_fronts_move_where_the_active_count_changes():
     bands = [(band.get_x(), band.get_x() + band.get_width()) for band in patches]
     np.testing.assert_allclose(bands, [(1.0, 1.25), (1.65, 1.75)])
     assert legend(axes).count("moving fronts") == 1
+    assert "moving fronts at belt speeds 1 to 1.2, 1.7" in summary("ladder", data)
 
 
 def test_failed_runs_are_crosses_and_are_listed_with_advice():
@@ -161,27 +151,13 @@ def test_failed_runs_are_crosses_and_are_listed_with_advice():
     assert "NaN or infinite" in text
 
 
-def test_a_summary_says_where_the_chain_vibrates():
-    text = summary("ladder", ladder())
-    assert "70 (10 belt_speed x 7 excited)" in text
-    assert "Hopf speed    1.1513" in text
-    assert "vibrating     at belt speeds 1 to 1.7" in text
-    assert "sliding       at belt speeds 1.2 to 1.9" in text
-    assert "moving fronts at belt speeds 1 to 1.2, 1.7" in text
-    assert max(map(len, text.splitlines())) < 100
-
-
-@pytest.mark.parametrize(
-    "kept", [pytest.param("energy_velocity", marks=pytest.mark.long), "amplitude_velocity"]
-)
-def test_the_figure_of_a_scene_of_cells_shows_every_run(pairs, kept):
-    data = pairs[[kept, "result", "steps"]]
+def test_the_figure_of_a_scene_of_cells_shows_every_run(pairs):
+    data = pairs[["amplitude_velocity", "result", "steps"]]
     (axes,) = named_panels(figure({"pairs": data}))
-    word = kept.partition("_")[0]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", f"{word} of velocity (–)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", "amplitude of velocity (–)")
     assert legend(axes) == ["0.5", "1"]
     for k, line in enumerate(axes.get_lines()):
-        expected = pairs[kept].values[:, k]
+        expected = pairs["amplitude_velocity"].values[:, k]
         np.testing.assert_array_equal(np.sort(height(line)), np.sort(expected.ravel()))
     text = summary("pairs", data)
     assert "model         VanDerPol, n 2; mu swept; coupling 0.1" in text

@@ -137,12 +137,9 @@ def test_the_scenes_are_the_figures_of_the_paper(number):
     ("scene", "override", "problem"),
     [
         ("fig4", "pictures=['rings']", "pictures[0]"),
-        ("fig4", "pictures=['circles','circles']", "pictures"),
         ("fig4", "pictures=['delays']", "pictures: has `delays`, which needs `PeakTimes`"),
         ("fig4", "observe.quantities=['energy']", "pictures: needs `amplitude` among"),
-        ("fig4", "sweep={excited=[1],belt_speed=[1.5]}", "pictures: needs `excited` alone"),
         ("fig5", "pictures=['phase_plots']", "pictures: has `phase_plots`, which needs three"),
-        ("fig7", "pictures=['time_series']", "pictures: has `time_series`, which needs `Sam"),
     ],
 )
 def test_a_bad_experiment_is_refused_with_its_key(scene, override, problem):

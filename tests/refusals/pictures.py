@@ -8,15 +8,13 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from drawn import made_up_modes
 from matplotlib.figure import Figure
 from synthetic import cycle_branch, ladder, special_curve
 
-from jaxchain.boundaries import ComplexModes
 from jaxchain.inverse import Profile
 from jaxchain.model import MechanicalCells, paper_chain
-from jaxchain.result import SearchResult
 
-from .searches import made
 from .table import A_CHAIN, COUNT, POSITIVE, WORD, Row, Told, row, states
 
 CHAIN = paper_chain(3, 1.2, 1e-2)
@@ -106,13 +104,7 @@ def _plots() -> Iterator[Row]:
             Told(data.drop_vars("belt_speed"), "belt_speed"),
         ),
     )  # fmt: skip
-    modes = made(
-        ComplexModes, chain=paper_chain(1), parameter="belt_speed", values=jnp.array([1.0, 1.5]),
-        eigenvalues=1j * jnp.ones((2, 1)), mac=jnp.ones((2, 1)), slopes=jnp.zeros((2, 1)),
-        state=(jnp.ones((2, 1)), jnp.zeros((2, 1))), residual=jnp.zeros(2),
-        shapes=(jnp.ones((2, 1, 1), complex),) * 2, steps=jnp.ones(2, int),
-        result=SearchResult.successful,
-    )  # fmt: skip
-    yield row("plot_modes", {"modes": modes}, modes=(None, "x", {}, Told(runs, "excited")))
+    modes = {"modes": made_up_modes(1.0, 1.5)}
+    yield row("plot_modes", modes, modes=(None, "x", {}, Told(runs, "excited")))
     wrong = (None, "x", {}, [], 3.0, Told(data, "Dataset"))
     yield row("plot_special_curves", {"curves": curve}, curves=wrong)

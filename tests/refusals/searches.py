@@ -51,7 +51,6 @@ def _continuation() -> Iterator[Row]:
             Told(lambda u, args: "text", "'text'"),
         ),
     )  # fmt: skip
-    yield row("fold_point", {"residual": branch, "u": jnp.ones(1), "p": 1.0}, u=VECTOR, p=NUMBER)
     good = {"before": lambda x: x < 1, "low": jnp.zeros(()), "high": 1.0, "halvings": 3}
     yield row("bisect", good, before=t.FUNCTION, low=END, high=END, halvings=t.COUNT_0)
     yield row(

@@ -24,9 +24,7 @@ def problem(file, content: bytes | str = TEXT, *overrides):
     [
         ("\ufeff" + TEXT, "begins with a byte-order mark: save it as UTF-8 without one"),
         (TEXT.encode("utf-16"), "is not a text file in UTF-8"),
-        (b"# a\n# caf\xe9" + TEXT.encode(), "is not a text file in UTF-8: 'utf-8' codec can't de"),
         ("x = " + "[" * 5000 + "]" * 5000, "has tables or lists within each other too deep"),
-        (f"a = 1\nx = {'7' * 5000}\n", "has a number of thousands of digits in line 2"),
         (f"a = 1\nb = 2\nx = 0x{'f' * 5000}\n", "has a number of thousands of digits in line 3"),
         (TEXT + "\n[experiment", "is not valid TOML: "),
         (b"#" * (2 * MOST_BYTES), "is longer than 10 MB, which no scene needs: write a range"),
@@ -60,8 +58,6 @@ def test_a_file_that_does_not_exist_is_refused_with_those_that_do(tmp_path):
         ("title.x=3", '--set "title.x=3": title is not a table'),
         ("title=1\nother=2", '--set "title=1\\nother=2": is more than one value'),
         ("a." * 5000 + "b=1", "has 5001 keys in a row, and 100 are the most"),
-        ("title=" + "[" * 5000, "too deep"),
-        ("title=" + "9" * 5000, "has a number of thousands of digits"),
         ("x" * 100_000, "... (100000 characters)"),
     ],
 )

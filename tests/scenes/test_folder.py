@@ -157,18 +157,6 @@ def test_a_drawing_is_whole_or_missing(tmp_path, short_of_room):
     assert listing(tmp_path) == sorted(os.listdir(tmp_path)) == ["made_up.pdf", "made_up.png"]
 
 
-def test_netcdf_holds_the_same(tmp_path):
-    results = Results(tmp_path, "made_up", {"title": "All"})
-    results.save("speed", data(1))
-    results.save("seed", data(2, 5))
-    results.write_netcdf()
-    with xr.open_datatree(tmp_path / "made_up.nc") as tree:
-        assert tree.attrs["title"] == "All"
-        for name, whole in results.datasets.items():
-            assert tree[name].to_dataset().identical(whole)
-    assert listing(tmp_path) == ["made_up.nc", "made_up.zarr"]
-
-
 @pytest.mark.usefixtures("usual_signals")
 def test_an_interruption_waits_until_all_is_written(tmp_path, monkeypatch):
     whole, sent = xr.Dataset.to_zarr, []

@@ -6,7 +6,6 @@ import math
 import random
 import time
 
-import numpy as np
 import pytest
 
 from jaxchain.model.parameters import PARAMETERS
@@ -18,23 +17,21 @@ SEED, COUNT = 14, 300
 # What a refusal may take, and how long its text and a line of it may be.
 MOST_SECONDS, MOST_CHARACTERS, MOST_OF_A_LINE = 2.0, 100_000, 2000
 NUMBERS = [
-    math.nan, math.inf, -1, 0, 1, 3, -1.0, 0.0, 0.5, 7.5, 1e300, 5e-324, 1e-12, 1e6, 10**9, 2**63,
-    10**30, -(10**30), 10**400, 1.5, 100,
+    math.nan, math.inf, -1, 0, 1, 3, -1.0, 0.0, 0.5, 1e300, 5e-324, 1e-12, 10**9, 10**30, 10**400,
 ]  # fmt: skip
-TEXTS = [
-    "", "x", " ", "a/b", "../../../esc", ".", "a\nb", "a\x1b[31mb", "a\x00b", "\u202e", "ü" * 300,
-    "x" * 100_000, "$\\frac$", "__x", "x.y", "amplitude", "belt_speed", "time", "n", "2",
-]  # fmt: skip
+
+
+TEXTS = ["", "x", "a/b", ".", "a\nb", "a\x1b[31mb", "\u202e", "x" * 100_000, "amplitude", "n", "2"]
+
+
 OTHERS = [
-    True, [], {}, [[]], [{}], {"x": 1}, [1, 1], ["a", "a"], [math.nan], [1, "x"], [[1.0]], [True],
-    [-1.5, 1.5], [5e-324], [10**30], [2, 1], {"start": 1.0, "stop": 2.0, "step": 0.1},
-    {"start": 1, "stop": 2, "count": 10**9}, {"start": 0.0, "stop": 1e300, "step": 1e-300},
-    {"law": "coulomb", "width": 0.1, "mu_dynamic": 0.5}, {"law": "custom", "width": 1e-3},
-    {"law": "tabulated", "width": 0.1, "speed": [0, 1], "mu": [1, 0.5]},
-    {"kind": "excited", "excited": 1}, {"kind": "equation_10"}, {"observer": "StickTime"},
+    True, [], {}, [[]], [{}], {"x": 1}, [1, 1], ["a", "a"], [math.nan], [1, "x"], [True],
+    [5e-324], [10**30], [2, 1], {"start": 1, "stop": 2, "count": 10**9},
+    {"law": "custom", "width": 1e-3}, {"kind": "excited", "excited": 1},
     [{"observer": "PeakTimes", "capacity": 10**9}], [{"observer": "Divergence"}] * 2,
-    [{"observer": "Samples", "interval": 5e-324, "capacity": 3}],
 ]  # fmt: skip
+
+
 SWEPT = [*PARAMETERS, "excited", "displacement", "velocity", "n"]
 
 
@@ -81,26 +78,6 @@ def change(data, rng):
         where[key] = wrong(rng)
 
 
-def damaged(text, rng):
-    """The text of a file with one mistake."""
-    at = rng.randrange(len(text) + 1)
-    lines = text.splitlines(keepends=True) or [b""]
-    return rng.choice([
-        text[:at], text[:at] + b"\xff" + text[at:], b"\xef\xbb\xbf" + text, b"\x00".join(lines),
-        text + rng.choice(lines), text + b"[" + b".".join([b"a"] * 5000) + b"]\nx = 1\n",
-        text[:at] + rng.choice(['"', "]", "=", "\n", "{", "#", "\x1b", "é"]).encode() + text[at:],
-        b"x = " + b"[" * 5000 + b"]" * 5000 + b"\n" + text, text[::-1],
-    ])  # fmt: skip
-
-
-def assignment(data, rng):
-    """A text for `--set`, with or without a mistake."""
-    path = ".".join(map(str, rng.choice([*entries(data), (data, "x", ("x",))])[2]))
-    usual, given = f"{path}={inline(wrong(rng))}", inline(wrong(rng))
-    others = [path, "=", f"{path}.x={given}", f"{usual}\ny=2", f"{usual}]", f"{path}=a b", ""]
-    return rng.choice([usual] * 20 + others)
-
-
 def faults_of(error, seconds):
     text, lines = str(error), str(error).split("\n")
     return {
@@ -115,20 +92,17 @@ def faults_of(error, seconds):
 @pytest.mark.filterwarnings("ignore:.*If it is in SI units")
 def test_hundreds_of_mutants_are_refused_in_words_or_valid(tmp_path):
     scenes, file = {name: read_scene(name)[1] for name in builtin_scenes()}, tmp_path / "mine.toml"
-    accepted, refused, made, faults = [], 0, 0, []
+    accepted, refused, faults = [], 0, []
     for number in range(COUNT):
         rng = random.Random(f"{SEED}/{number}")
         data = copy.deepcopy(scenes[rng.choice([*scenes])])
-        kinds = rng.choices(["table", "text", "set"], [75, 10, 15], k=rng.choice((1, 1, 1, 2, 3)))
-        for _ in range(kinds.count("table")):
+        for _ in range(rng.choice((1, 1, 1, 2, 3))):
             change(data, rng)
         text = "".join(f"{inline(key)} = {inline(value)}\n" for key, value in data.items())
-        text = text.encode("utf-8", "surrogatepass")
-        text = damaged(text, rng) if "text" in kinds else text
-        file.write_bytes(text)
+        file.write_bytes(text.encode("utf-8", "surrogatepass"))
         begun = time.process_time()
         try:
-            loaded = load_scene(str(file), [assignment(data, rng)] * kinds.count("set"))
+            loaded = load_scene(str(file))
         except SceneError as error:
             refused += 1
             found = faults_of(error, time.process_time() - begun)
@@ -137,20 +111,10 @@ def test_hundreds_of_mutants_are_refused_in_words_or_valid(tmp_path):
             accepted.append((number, loaded))
     for number, loaded in accepted[:10]:
         try:
-            parts = build(loaded)
+            build(loaded)
         except SceneError as error:  # what does not fit the model is refused only here
             found = faults_of(error, 0.0)
             faults += [(number, fault, str(error)[:200]) for fault, so in found.items() if so]
-            continue
-        for name, one in parts.items():
-            grid = loaded.scene.experiment[name].grid()
-            own = {"excited", "displacement", "velocity"} & grid.keys()
-            first = {key: grid[key][0] for key in own}
-            state = one.initial(one.model, **first)
-            made += 1
-            if not all(np.isfinite(a).all() for a in (*state, *one.model(0.0, state))):
-                faults.append((number, "forces are not finite", ""))
     assert not faults
     assert refused > 0.6 * COUNT
     assert len(accepted) > 0.05 * COUNT
-    assert made > 3

@@ -1,5 +1,7 @@
 """Scenes become folders of results: both models, their files, and resumed runs."""
 
+import contextlib
+import io
 import json
 import os
 import tomllib
@@ -10,10 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
-from synthetic import stored
+from layouts import differences, rows, tables
+from synthetic import recorded_sweep, stored
 
 import jaxchain
-from jaxchain import find_limit_cycle, fold_belt_speed, paper_chain
+from jaxchain import paper_chain
+from jaxchain.cli import main
 from jaxchain.plotting.pages import figure
 from jaxchain.scenes import building, running
 from jaxchain.scenes.building import build
@@ -48,54 +52,34 @@ def scene(tmp_path, model, more=""):
     return load_scene(str(file))
 
 
-@pytest.fixture(scope="module")
-def both(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("both")
+def test_both_models_share_a_file_and_a_panel(tmp_path):
+    """Relative amplitudes of the vibrating masses differ by the width of 1e-2, and by no more."""
     reports = []
-    data = run_scene(scene(folder, "both"), folder, plot=False, report=reports.append)
-    return folder, data, reports
-
-
-def test_both_models_share_a_file(both):
-    folder, data, reports = both
+    data = run_scene(scene(tmp_path, "both"), tmp_path, plot=False, report=reports.append)
     assert list(data) == ["ladder", "ladder_dry"]
-    saved = stored(folder / "three")
-    assert saved.keys() == data.keys()
-    smoothed, dry = saved.values()
+    assert len(reports) == 2
+    assert stored(tmp_path / "three").keys() == data.keys()
+    smoothed, dry = data.values()
     assert smoothed.attrs["model"] == "smoothed"
     assert smoothed["amplitude"].dims == ("belt_speed", "excited", "oscillator")
     assert dry.attrs["model"] == "dry"
     assert "EventDriven" in dry.attrs["solver"]
-    assert len(reports) == 2
-
-
-def test_the_two_differ_by_the_width_and_by_no_more(both):
-    """Relative amplitudes of the vibrating masses, at a width of 1e-2."""
-    _, data, _ = both
-    smoothed, dry = data["ladder"], data["ladder_dry"]
     assert np.array_equal(smoothed["active_count"], dry["active_count"])
     vibrates = smoothed["amplitude"].values > 1.0
     ratio = smoothed["amplitude"].values[vibrates] / dry["amplitude"].values[vibrates]
     assert np.all(np.abs(ratio - 1) < 0.05)
     assert np.all(np.abs(ratio - 1) > 0.001)
-
-
-def test_the_truth_is_drawn_around_the_points_of_its_own_panel(both):
-    _, data, _ = both
+    # The truth is drawn around the points.
     page = figure(data)
-    legend = page.axes[0].get_legend()
-    assert legend is not None
-    labels = [text.get_text() for text in legend.get_texts()]
-    assert "true dry friction" in labels
     ring = next(a for a in page.axes[0].lines if a.get_label() == "true dry friction")
-    heights = data["ladder_dry"]["energy"].values.ravel()
-    np.testing.assert_allclose(np.sort(ring.get_ydata()), np.sort(heights))
+    np.testing.assert_allclose(np.sort(ring.get_ydata()), np.sort(dry["energy"].values.ravel()))
     assert len([axes for axes in page.axes if axes.get_ylabel()]) <= 2  # a panel, a colour bar
 
 
 def test_true_dry_friction_alone_goes_by_the_name_of_the_experiment(tmp_path, monkeypatch):
     # Cycles are looked for with smoothed friction only.
     monkeypatch.setattr(running, "cycles", lambda *of: pytest.fail("asked for cycles"))
+    monkeypatch.setattr(running, "sweep", recorded_sweep([]))
     data = run_scene(scene(tmp_path, "dry"), tmp_path, plot=False, report=lambda text: None)
     assert list(data) == ["ladder"]
     assert data["ladder"].attrs["model"] == "dry"
@@ -114,46 +98,20 @@ def one_oscillator(tmp_path, count, model="smoothed"):
     return load_scene(str(file))
 
 
-@pytest.mark.long
-def test_the_branch_of_cycles_is_saved_before_it_is_drawn(tmp_path):
-    run_scene(one_oscillator(tmp_path, 10), tmp_path, plot=False, report=lambda text: None)
-    saved = stored(tmp_path / "one")
-    cycles, chain = saved["ladder_cycles"], paper_chain(1, width=1e-2)
-    fold = cycles["fold_belt_speed"].item()
-    assert fold == pytest.approx(float(fold_belt_speed(chain)), rel=1e-12)
-    assert cycles["belt_speed"].max() <= fold + 1e-9
-    # A stable and an unstable cycle of speed 1.5, and a run that reaches the stable one.
-    stable = cycles["stable"].values
-    below = [np.interp(1.5, *ordered(cycles, side)) for side in (stable, ~stable)]
-    assert below[0] > below[1] > 0
-    found = find_limit_cycle(chain.with_(belt_speed=1.5))
-    assert below[0] == pytest.approx(float(found.amplitude[0]), rel=1e-3)
-    assert saved["ladder"]["displacement"].attrs["units"] == "x0"
-    hopf = saved["ladder"]["hopf_belt_speed"].item()
-    assert hopf == pytest.approx(0.5 * np.log(10), rel=1e-12)
-
-
-def ordered(cycles, which):
-    speed, amplitude = (cycles[name].values[which] for name in ("belt_speed", "amplitude"))
-    order = np.argsort(speed)
-    return speed[order], amplitude[order]
-
-
-@pytest.mark.parametrize("first", [1, 60])
-def test_an_interrupted_branch_is_not_taken_for_a_whole_one(monkeypatch, first):
-    """In the slip cycles at once, and in the stick-slip cycles."""
+def test_an_interrupted_branch_is_not_taken_for_a_whole_one(monkeypatch):
+    """In the stick-slip cycles, after the slip cycles are whole."""
     seen = []
 
     def interrupt(count, point):
         seen.append(count)
-        if len(seen) == first:
+        if len(seen) == 60:
             raise KeyboardInterrupt
 
     follow = partial(running.continue_cycle, progress=interrupt)
     monkeypatch.setattr(running, "continue_cycle", follow)
     with pytest.raises(KeyboardInterrupt):
         cycles(paper_chain(1, width=1e-2), GRID)
-    assert len(seen) == first
+    assert len(seen) == 60
 
 
 def test_a_branch_whose_side_ends_early_says_so(monkeypatch):
@@ -163,6 +121,13 @@ def test_a_branch_whose_side_ends_early_says_so(monkeypatch):
     assert cut is not None
     assert cut.attrs["cut_off"].startswith("The stick cycles end at belt speed 0.9")
     assert "`stop` was true" in cut.attrs["cut_off"]
+    assert not differences(tables()["Folders of results", "Cycles of one oscillator"], rows(cut))
+    # From rest at the Hopf speed over the fold to stick-slip, unstable before it.
+    fold = int(np.argmax(cut["belt_speed"].values))
+    assert cut["fold_belt_speed"] == cut["belt_speed"][fold] > 1.75
+    assert cut["belt_speed"][0] == pytest.approx(0.5 * np.log(10), rel=1e-12)
+    assert np.all(np.diff(cut["amplitude"][: fold + 1]) > 0)
+    np.testing.assert_array_equal(cut["stable"], np.arange(cut.sizes["point"]) > fold)
 
 
 def test_a_few_belt_speeds_have_no_branch(tmp_path):
@@ -199,7 +164,6 @@ def test_inconsistent_numbers_of_all_experiments_are_reported_before_any_run(tmp
     ("fails", "kind", "message"),
     [
         (lambda: jnp.ones(10**14), MemoryError, r"ladder: out of memory \(RESOURCE.*\): take few"),
-        (lambda: bytes(10**18), MemoryError, "experiment.ladder: out of memory .* take fewer val"),
         (lambda: paper_chain(0), SceneError, "experiment.ladder: Argument `n` must be an integer"),
     ],
 )
@@ -221,22 +185,16 @@ observe = { quantities = ["energy"], others = [
 """
 
 
-@pytest.mark.long
-def test_a_scene_has_the_values_of_all_observers(tmp_path):
-    loaded = scene(tmp_path, "dry", OTHERS)
-    assert len(build(loaded)["ladder"].observe) == 9
-    data = run_scene(loaded, tmp_path, plot=False, report=str)
-    found = data["ladder"].sel(excited=1, belt_speed=1.4)
-    assert "amplitude" not in found
-    assert np.argmax(found.stick_time.values) == 1
-    assert np.argmax(found.section_displacement.values[0]) == 1
-    assert found.section_time.min() > 50.0
-    assert found.sampled_oscillator.size == 1
-    assert int(found.most_sticking) == 1
-    gained = found.belt_work - found.energy_lost
-    np.testing.assert_allclose(gained, found.energy_stored, atol=1e-3)
-    saved = stored(tmp_path / "three")["ladder"]
-    assert saved["stick_time"].attrs["units"] == "1 / omega_n"
+def test_a_scene_has_the_observers_that_it_names(tmp_path):
+    amplitude, *others = build(scene(tmp_path, "dry", OTHERS))["ladder"].observe
+    assert [type(one).__name__ for one in others] == [
+        "StickTime", "PeakTimes", "Section", "Samples", "FrontTrack", "MostSticking",
+        "EnergyBalance", "Divergence",
+    ]  # fmt: skip
+    section, samples = others[2:4]
+    assert (amplitude.window, others[0].window, others[1].capacity) == (20.0, 20.0, 3)
+    assert (section.oscillator, section.capacity, section.start) == (1, 2, 50.0)
+    assert (samples.interval, samples.oscillators) == (10.0, (2,))
 
 
 def again(folder, loaded, **custom):
@@ -316,13 +274,29 @@ numerics = { lanes = 2 }
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory):
-    """A scene with a store, and the folder of its run."""
+    """A scene with a store, the folder of its run by the command, and what was printed."""
     file = tmp_path_factory.mktemp("two") / "two.toml"
     file.write_text(TWO, encoding="utf-8")
-    loaded, folder = load_scene(str(file)), file.parent / "out"
-    folder.mkdir()
-    run_scene(loaded, folder, plot=False, netcdf=True, report=lambda text: None)
-    return loaded, folder
+    loaded, folder, printed = load_scene(str(file)), file.parent / "out", io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        assert main(["run", str(file), "--output", str(folder), "--netcdf"]) == 0
+    return loaded, folder, printed.getvalue()
+
+
+def test_a_scene_becomes_datasets_a_figure_and_a_summary(two):
+    _, folder, printed = two
+    names = "report.html", "two.many.zarr", "two.nc", "two.pdf", "two.png", "two.toml", "two.zarr"
+    assert sorted(listing(folder)) == sorted(names)
+    found = stored(folder / "two")
+    assert found["few"].amplitude.dims == ("belt_speed", "displacement", "oscillator")
+    assert "energy" not in found["many"]
+    assert json.loads(found["few"].attrs["definition"])["chain"]["n"] == 1
+    # Without weakening the vibration dies, slower than it is measured here.
+    grows = found["few"].amplitude
+    assert np.all(grows.sel(displacement=1.0) > grows.sel(displacement=0.5))
+    assert "many: In a store" in printed
+    assert "4 (2 belt_speed x 2 displacement)" in printed
+    assert f"results in {folder}: {', '.join(sorted(names))}" in printed
 
 
 def same(one, other):
@@ -341,7 +315,7 @@ def same(one, other):
 
 
 def test_results_from_a_store_equal_those_in_memory(two, tmp_path):
-    loaded, folder = two
+    loaded, folder, _ = two
     assert {"report.html", "two.many.zarr", "two.nc", "two.toml", "two.zarr"} <= {*listing(folder)}
     change = ["experiment.many.numerics.store=false"]
     run_scene(load_scene(str(folder), change), tmp_path, plot=False, report=lambda text: None)
@@ -362,7 +336,7 @@ def test_results_from_a_store_equal_those_in_memory(two, tmp_path):
 
 
 def test_a_run_that_is_cut_off_goes_on_in_its_folder(two, tmp_path, monkeypatch):
-    loaded, folder = two
+    loaded, folder, _ = two
     out, whole, calls, reports = tmp_path / "out", running.sweep, [], []
     out.mkdir()
 

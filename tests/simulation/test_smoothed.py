@@ -1,5 +1,7 @@
 """Runs with smoothed friction: continuation of a cut run, and repeated steps."""
 
+import functools as ft
+
 import diffrax as dfx
 import equinox as eqx
 import jax
@@ -13,53 +15,40 @@ from jaxchain.simulation import Method
 KEPT = 12  # states, of many more steps
 
 
-def test_a_run_that_is_cut_takes_the_steps_of_one_that_is_not():
-    chain = paper_chain(3, belt_speed=1.3)
-    plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan([], 20.0)
-    begun = plan.begin(chain, equation_8(chain, 2), 0.0, 20.0)
-
-    def advance(now, most):
-        return plan.advance(chain, now, jnp.asarray(20.0), max_steps=most)[0]
-
-    @jax.jit
-    def cut(now):
-        def again(_, now):
-            now = advance(now, 7)
-            result = Result.where(now.t < 20.0, Result.successful, now.result)
-            return eqx.tree_at(lambda p: p.result, now, result)
-
-        return jax.lax.fori_loop(0, 100, again, now)
-
-    whole, parts = jax.jit(lambda now: advance(now, None))(begun), cut(begun)
-    assert float(parts.t) == float(whole.t) == 20.0
-    assert int(whole.rejected) > 20
-    assert (int(parts.steps), int(parts.rejected)) == (int(whole.steps), int(whole.rejected))
-    np.testing.assert_allclose(jnp.stack(parts.state), jnp.stack(whole.state), atol=1e-11)
-
-
-def test_steps_that_are_taken_again_lead_to_the_same_end():
-    """Only the first twenty are recorded; here an observer ends the run."""
+def test_a_run_that_is_cut_or_whose_steps_are_taken_again_is_the_same():
+    """Of the steps taken again only the first twenty are recorded; an observer ends the run."""
     chain = paper_chain(1, belt_speed=1.3)
     watch = Amplitude(5.0, "steady", tolerance=0.5)
     plan = Method(Rodas4(), 1e-6, 1e-7, 1.0).plan([watch], 200.0)
-    begun = plan.begin(chain, equation_8(chain, 1), 0.0, 200.0)
 
     @jax.jit
-    def both(now):
-        ways = (None, 20)
-        return [plan.advance(chain, now, 200.0, max_steps=None, recorded=r)[0] for r in ways]
+    def runs(start):
+        begun = plan.begin(chain, start, 0.0, 200.0)
 
-    whole, again = both(begun)
-    assert int(whole.steps) > 100
-    for run in whole, again:
-        assert bool(run.result == Result.steady)
-    assert (int(again.steps), int(again.rejected)) == (int(whole.steps), int(whole.rejected))
-    np.testing.assert_allclose(again.t, whole.t, rtol=1e-9)
-    np.testing.assert_allclose(jnp.stack(again.state), jnp.stack(whole.state), atol=1e-9)
-    for ours, theirs in zip(
-        jax.tree.leaves(again.memory), jax.tree.leaves(whole.memory), strict=True
-    ):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-6)
+        def advance(now, most=None, recorded=None):
+            t1 = jnp.asarray(200.0)
+            return plan.advance(chain, now, t1, max_steps=most, recorded=recorded)[0]
+
+        def cut(_, now):
+            now = advance(now, 7)
+            stopped = now.result == Result.max_steps_reached
+            result = Result.where(stopped, Result.successful, now.result)
+            return eqx.tree_at(lambda p: p.result, now, result)
+
+        return advance(begun), jax.lax.fori_loop(0, 100, cut, begun), advance(begun, recorded=20)
+
+    whole, *others = jax.tree.map(np.asarray, runs(equation_8(chain, 1)))
+    assert 100 < whole.steps + whole.rejected < 700
+    assert whole.rejected > 10
+    for run in others:
+        assert np.all(run.result._value == Result.steady._value)
+        assert (run.steps, run.rejected) == (whole.steps, whole.rejected)
+        np.testing.assert_allclose(run.t, whole.t, rtol=1e-9)
+        np.testing.assert_allclose(run.state, whole.state, atol=1e-9)
+        for kept in ("memory", "accumulators"):
+            both = (jax.tree.leaves(getattr(end, kept)) for end in (run, whole))
+            for ours, theirs in zip(*both, strict=True):
+                np.testing.assert_allclose(ours, theirs, rtol=1e-6)
 
 
 def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
@@ -70,6 +59,9 @@ def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
     """
     few = dfx.RecursiveCheckpointAdjoint(KEPT)
 
+    @jax.jit
+    @jax.vmap
+    @ft.partial(jax.value_and_grad, has_aux=True)
     def end(p):
         belt_speed, t0, t1 = p
         chain = paper_chain(1, belt_speed, width=0.05)
@@ -80,12 +72,13 @@ def test_gradients_of_lanes_that_end_after_different_numbers_of_steps():
         )  # fmt: skip
         return run.state[0][0] + run.observed[0], run.steps
 
-    lanes, h = jnp.array([[1.0, 1.0, 5.0], [1.6, 1.0, 5.0]]), 1e-4 * jnp.eye(3)
-    (_, steps), gradient = jax.jit(jax.vmap(jax.value_and_grad(end, has_aux=True)))(lanes)
+    lanes, h = np.array([[1.0, 1.0, 5.0], [1.6, 1.0, 5.0]]), 1e-4 * np.eye(3)
+    near = np.stack([lanes[None] + h[:, None], lanes[None] - h[:, None]])  # (sign, number, lane)
+    (ends, steps), gradient = end(np.concatenate([lanes, *near.reshape(2, 6, 3)]))
     assert steps[0] != steps[1]
-    assert np.all(steps > 10 * KEPT)
-    near = jnp.stack([lanes[None] + h[:, None], lanes[None] - h[:, None]])  # (sign, number, lane)
-    high, low = jax.jit(jax.vmap(lambda p: end(p)[0]))(near.reshape(-1, 3)).reshape(2, 3, 2)
+    assert np.all(np.asarray(steps) > 10 * KEPT)
+    high, low = np.asarray(ends)[2:].reshape(2, 3, 2)
+    gradient = np.asarray(gradient)[:2]
     np.testing.assert_allclose(gradient.T, (high - low) / 2e-4, rtol=1e-4, atol=1e-6)
     # Without forcing a later start has exactly the opposite effect: it moves the first steps.
     np.testing.assert_allclose(gradient[:, 1], -gradient[:, 2], rtol=1e-11)

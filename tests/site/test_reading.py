@@ -58,7 +58,7 @@ QUESTIONS = {
 FUNCTIONS = {
     "hopf": {"find_hopf_point", "hopf_belt_speed", "hopf_by_descent", "hopf_points"},
     "limit cycle": {"find_limit_cycle", "find_limit_cycles"},
-    "fold": {"find_fold", "fold_belt_speed", "fold_point", "fold_by_descent"},
+    "fold": {"find_fold", "fold_belt_speed", "fold_by_descent"},
 }
 # Elements of a page that are wider than their place: they would be cut, or have to be scrolled.
 CUT = """() => [...document.querySelectorAll(

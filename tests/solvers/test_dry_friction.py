@@ -1,11 +1,10 @@
 """The chain with true dry friction, as a Taylor series about the present."""
 
-from typing import Any
+import math
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
 from jaxchain.model.chain import Chain
 from jaxchain.model.friction import ExponentialDecay
@@ -16,36 +15,35 @@ from jaxchain.solvers.dry_series import expand
 def test_the_series_has_every_force_of_the_chain():
     """A force that is added to the chain, and not to the series, must not be lost in silence."""
     chain = Chain(
-        4, ExponentialDecay(1.0, 0.5, 0.5), 0.3, damping_ratio=jnp.array([0.1, 0.2, 0.05, 0.3]),
-        coupling=jnp.array([0.2, 0.3, 0.1, 0.4]), stiffness=jnp.array([1.0, 2.0, 0.5, 1.5]),
-        normal_load=jnp.array([1.0, 0.7, 1.2, 0.9]),
+        4, ExponentialDecay(1.0, 0.5, 0.5), 0.3, damping_ratio=np.array([0.1, 0.2, 0.05, 0.3]),
+        coupling=np.array([0.2, 0.3, 0.1, 0.4]), stiffness=np.array([1.0, 2.0, 0.5, 1.5]),
+        normal_load=np.array([1.0, 0.7, 1.2, 0.9]),
     )  # fmt: skip
     # Two slide forward, two backward; none sticks.
-    x, v = jnp.array([0.5, -1.2, 2.0, 0.1]), jnp.array([1.0, 0.7, -0.4, 0.0])
-    _, modes = start(chain, 0.0, (x, v))
-    series = jax.jit(lambda x, v, modes: expand(chain, 0.0, (x, v), modes, 4))(x, v, modes)
+    x, v = np.array([0.5, -1.2, 2.0, 0.1]), np.array([1.0, 0.7, -0.4, 0.0])
 
-    def polynomial(t: Any, coefficients: list[Array]) -> Array:
-        return jnp.polyval(jnp.stack(coefficients)[::-1], t)
+    @jax.jit
+    def series_and_derivatives(x, v):
+        _, modes = start(chain, 0.0, (x, v))
+        series = expand(chain, 0.0, (x, v), modes, 4)
 
-    def force(t):
-        return chain.free_force(polynomial(t, series.x[0]), polynomial(t, series.v[0]))
+        def force(t):
+            x, v = (jnp.polyval(jnp.stack(c)[::-1], t) for c in (series.x[0], series.v[0]))
+            return chain.free_force(x, v), v - chain.belt_speed
 
-    derivative, factorial = force, 1.0
-    for k in range(4):
-        np.testing.assert_allclose(series.r[k], jax.jit(derivative)(0.0) / factorial, rtol=1e-12)
-        derivative, factorial = jax.jacfwd(derivative), factorial * (k + 1)
+        # And the equation of motion, v' = r - direction p mu.
+        def total(t):
+            r, w = force(t)
+            return r - modes.direction * chain.load * chain.law.coefficient(jnp.abs(w))
 
-    def relative(t):
-        return polynomial(t, series.v[0]) - chain.belt_speed
+        derivatives = [lambda t: force(t)[0]]
+        for _ in range(3):
+            derivatives.append(jax.jacfwd(derivatives[-1]))
+        found = [series.r[k] for k in range(4)], [series.v[0][k] for k in range(3)]
+        return *found, [d(0.0) for d in derivatives], (total(0.0), jax.jacfwd(total)(0.0))
 
-    # And the equation of motion, v' = r - direction p mu, at t = 0 and in its first derivative.
-    def friction(t):
-        return -modes.direction * chain.load * chain.law.coefficient(jnp.abs(relative(t)))
-
-    def total(t):
-        return force(t) + friction(t)
-
-    value, slope = jax.jit(lambda t: (total(t), jax.jacfwd(total)(t)))(0.0)
-    np.testing.assert_allclose(series.v[0][1], value, rtol=1e-12)
-    np.testing.assert_allclose(2.0 * series.v[0][2], slope, rtol=1e-12)
+    r, velocity, derivatives, (value, slope) = series_and_derivatives(x, v)
+    for k, derivative in enumerate(derivatives):
+        np.testing.assert_allclose(r[k], derivative / math.factorial(k), rtol=1e-12)
+    np.testing.assert_allclose(velocity[1], value, rtol=1e-12)
+    np.testing.assert_allclose(2.0 * velocity[2], slope, rtol=1e-12)

@@ -4,6 +4,7 @@ import functools as ft
 from typing import Any
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -43,8 +44,8 @@ def slopes(field, solver, counts, t1=3.0):
     """(order at the end, order of the dense output between steps), by least squares."""
     between = jnp.linspace(0.1, 2.9, 37)
 
-    @jax.jit
-    def errors(dt):
+    @eqx.filter_jit
+    def errors(field, dt):
         solution = solve(
             field, solver, field.exact(0.0), t1, dt, saveat=dfx.SaveAt(ts=between, t1=True)
         )
@@ -52,7 +53,7 @@ def slopes(field, solver, counts, t1=3.0):
         error = jnp.stack([jnp.abs(a - b) for a, b in zip(solution.ys, exact, strict=True)])
         return jnp.max(error[:, -1]), jnp.max(error[:, :-1])
 
-    end, dense = np.array([errors(t1 / n) for n in counts]).T
+    end, dense = np.array([errors(field, t1 / n) for n in counts]).T
     fit = [np.polyfit(np.log(counts), np.log(e), 1)[0] for e in (end, dense)]
     return -fit[0], -fit[1]
 
@@ -64,12 +65,9 @@ def test_order_on_a_smooth_problem_at_the_steps_and_between(solver, order):
     end, dense = slopes(driven(1.0), solver, [20, 40, 80])
     assert end == pytest.approx(order, abs=0.2)
     assert dense == pytest.approx(order, abs=0.25)
-
-
-@pytest.mark.long
-def test_rodas5p_keeps_order_5_where_steps_are_ten_thousand_times_too_long():
-    end, _ = slopes(driven(1e6), Rodas5P(), [20, 40, 80])
-    assert end == pytest.approx(5, abs=0.2)
+    if order == 5:  # which it keeps where steps are ten thousand times too long
+        end, _ = slopes(driven(1e6), solver, [20, 40, 80])
+        assert end == pytest.approx(5, abs=0.2)
 
 
 @pytest.mark.parametrize(("solver", "springs"), [(Rodas4(), None), (Rodas5P(2), SPRINGS)])
@@ -113,7 +111,7 @@ def test_an_unproven_truncation_with_a_constant_step_is_a_failure_not_a_wrong_nu
     y0 = equation_8(chain, 2)
     solution = solve(chain, Rodas4(1), y0, 1.0, 0.1, throw=False)
     assert solution.result == dfx.RESULTS.nonlinear_divergence
-    good = solve(chain, Rodas4(), y0, 1.0, 0.1, throw=False)
+    good = solve(chain.with_(coupling=0.01), Rodas4(1), y0, 1.0, 0.1, throw=False)
     assert good.result == dfx.RESULTS.successful
 
 
@@ -123,8 +121,8 @@ def test_other_vector_fields_are_refused_with_the_way_out():
 
 
 def test_agrees_with_a_stock_solver_on_the_stick_slip_chain():
-    chain = paper_chain(20, belt_speed=1.3, width=1e-2)
-    y0 = equation_8(chain, 9)
+    chain = paper_chain(6, belt_speed=1.3, width=1e-2)
+    y0 = equation_8(chain, 2)
     ours = solve(chain, Rodas4(), y0, 10.0, rtol=1e-9).ys
     stock = solve(chain, dfx.Dopri8(scan_kind="lax"), y0, 10.0, rtol=1e-11, dt=1e-3).ys
     np.testing.assert_allclose(np.stack(ours), np.stack(stock), atol=1e-6)

@@ -137,7 +137,8 @@ def test_a_series_grows_with_its_argument():
         path.append(series[k] / (k + 1))
     derivative = rate
     for k in range(1, 5):
-        np.testing.assert_allclose(math.factorial(k) * path[k], derivative(path[0]), rtol=1e-12)
+        expected = jax.jit(derivative)(path[0])
+        np.testing.assert_allclose(math.factorial(k) * path[k], expected, rtol=1e-12)
         derivative = _along(derivative, rate)
 
 
@@ -156,29 +157,23 @@ def test_a_law_that_cannot_be_expanded_is_refused_with_a_reason():
 # JAX chooses between cases in these, but only to be accurate.
 SMOOTH = {
     "softplus": (
-        lambda s: jax.nn.softplus(3 * s - 0.9),
-        lambda s: jnp.log1p(jnp.exp(3 * s - 0.9)),
+        lambda s: jax.nn.softplus(3 * s - 0.9), lambda s: jnp.log1p(jnp.exp(3 * s - 0.9))
     ),
     "where its cases meet": (
-        lambda s: jax.nn.softplus(s - 0.7),
-        lambda s: jnp.log1p(jnp.exp(s - 0.7)),
+        lambda s: jax.nn.softplus(s - 0.7), lambda s: jnp.log1p(jnp.exp(s - 0.7))
     ),
     "logaddexp": (
-        lambda s: jnp.logaddexp(s, 1.0 - s),
-        lambda s: jnp.log(jnp.exp(s) + jnp.exp(1.0 - s)),
+        lambda s: jnp.logaddexp(s, 1.0 - s), lambda s: jnp.log(jnp.exp(s) + jnp.exp(1.0 - s))
     ),
     "logaddexp2": (lambda s: jnp.logaddexp2(s, 0.1), lambda s: jnp.log2(2.0**s + 2.0**0.1)),
-}
+}  # fmt: skip
 
 
 # Forces of a displacement (here the path) and a velocity, and the case that each of two masses is
 # in: they are at 0.7 and 0.1.
 FORCES = {
     "damping by the square": (lambda q, v: v * jnp.abs(v), lambda q, v: v * v * SIGNS),
-    "a stop": (
-        lambda q, v: -jnp.maximum(q - 0.3, 0.0),
-        lambda q, v: -(q - 0.3) * jnp.array([1.0, 0.0]),
-    ),
+    "a stop": (lambda q, v: -jnp.maximum(q - 0.3, 0.0), lambda q, v: -(q - 0.3) * FIRST),
     "cases": (
         lambda q, v: jnp.where(q > 0.3, jnp.sin(q), q * v),
         lambda q, v: jnp.stack([jnp.sin(q)[0], (q * v)[1]]),
@@ -187,12 +182,12 @@ FORCES = {
         lambda q, v: jnp.interp(q, jnp.array([0.0, 0.3, 1.0]), jnp.array([1.0, 4.0, 0.5])),
         lambda q, v: jnp.stack([4.0 - 5.0 * (q[0] - 0.3), 1.0 + 10.0 * q[1]]),
     ),
-    "remainder": (lambda q, v: (q * q) % 0.3, lambda q, v: q * q - jnp.array([0.3, 0.0])),
+    "remainder": (lambda q, v: (q * q) % 0.3, lambda q, v: q * q - 0.3 * FIRST),
     "remainder of a negative": (lambda q, v: -q % 0.3, lambda q, v: jnp.array([0.9, 0.3]) - q),
-    "division": (lambda q, v: q * (q // 0.3), lambda q, v: q * jnp.array([2.0, 0.0])),
+    "division": (lambda q, v: q * (q // 0.3), lambda q, v: 2.0 * q * FIRST),
     "steps": (
         lambda q, v: jnp.round(q) * v + jnp.floor(2 * q) + jnp.sign(q - 0.3) + jnp.trunc(q),
-        lambda q, v: jnp.array([1.0, 0.0]) * v + jnp.array([2.0, -1.0]),
+        lambda q, v: FIRST * v + jnp.array([2.0, -1.0]),
     ),
     "greatest": (
         lambda q, v: jnp.max(jnp.stack([q, 1.0 - q, v]), axis=0),
@@ -202,12 +197,8 @@ FORCES = {
         lambda q, v: jax.nn.logsumexp(jnp.stack([q, v]), axis=0),
         lambda q, v: jnp.log(jnp.exp(q) + jnp.exp(v)),
     ),
-    "softplus": (
-        lambda q, v: jax.nn.softplus(q - v),
-        lambda q, v: jnp.log(1.0 + jnp.exp(q - v)),
-    ),
 }
-SIGNS = jnp.array([1.0, -1.0])
+SIGNS, FIRST = jnp.array([1.0, -1.0]), jnp.array([1.0, 0.0])
 SPEED = [*(k * c for k, c in enumerate(PATH[1:], start=1)), jnp.zeros(2)]  # 0.5 and -0.3
 
 

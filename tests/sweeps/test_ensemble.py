@@ -1,8 +1,6 @@
 """Sweeps: labels of results, and detection of every change that affects numbers."""
 
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from jaxchain import (
     Amplitude,
     Chain,
     EventDriven,
-    ExponentialDecay,
     Method,
     PeakTimes,
     equation_8,
@@ -29,9 +26,7 @@ from jaxchain import (
 )
 from jaxchain.model import AbstractFrictionLaw
 from jaxchain.model.tabulated import TabulatedFriction
-from jaxchain.observers import FrontTrack
 from jaxchain.observers.base import AbstractObserver, Variable
-from jaxchain.observers.fronts import Fronts
 from jaxchain.result import NAMES
 from jaxchain.sweeps import ensemble as module
 from jaxchain.sweeps.ensemble import RunSettings, fingerprint_of, prepare, to_dataset
@@ -46,15 +41,14 @@ class Law(AbstractFrictionLaw):
     """Of one's own."""
 
     mu_static: float = 1.0
-    power: int = eqx.field(static=True, default=1)
 
     def coefficient(self, speed):
-        return jnp.asarray(self.mu_static / (1.0 + speed) ** self.power)
+        return jnp.asarray(self.mu_static / (1.0 + speed))
 
 
 class Other(Law):
     def coefficient(self, speed):
-        return jnp.asarray(self.mu_static / (1.0 + 2.0 * speed) ** self.power)
+        return jnp.asarray(self.mu_static / (1.0 + 2.0 * speed))
 
 
 class Mine(AbstractObserver):
@@ -132,11 +126,6 @@ CHANGES = {
     "chain number": (
         {}, {"model": CHAIN.with_(damping_ratio=0.04)}, r"damping_ratio was 0.05 and is 0.04"
     ),
-    "masses": (
-        {"model": CHAIN.with_(stiffness=numbers(1.0))},
-        {"model": CHAIN.with_(stiffness=numbers(1.1))},
-        r"chain.stiffness was \[1.0, 2.0\] and is \[1.1, 2.2\]",
-    ),
     "many masses": (
         {"model": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.1, 9))},
         {"model": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.2, 9))},
@@ -145,26 +134,16 @@ CHANGES = {
     "law's number": (
         {}, {"model": CHAIN.with_(mu_static=1.1)}, r"chain.mu_static was 1.0 and is 1.1"
     ),
-    "law": (
-        {"model": own(Law())}, {"model": own(ExponentialDecay(1.0, 0.5, 0.5))},
-        r"friction.law was Law and is ExponentialDecay",
-    ),
     "own law": ({"model": own(Law())}, {"model": own(Other())}, r"friction.curve has changed"),
-    "own law's setting": (
-        {"model": own(Law())}, {"model": own(Law(power=2))}, r"friction.curve has changed"
-    ),
     "table": ({"model": tabulated(0.6)}, {"model": tabulated(0.65)}, r"friction.curve has chang"),
     "width": (
         smoothed(), {"model": paper_chain(2, 1.4, 2e-2)}, r"chain.width was 0.01 and is 0.02"
     ),
     "smoothed": ({}, smoothed(), r"chain.width was absent and is 0.01"),
     "observer": ({}, {"observe": PeakTimes(3)}, r"observers.1.kind was Amplitude"),
-    "window": (
-        {}, {"observe": Amplitude(window=6.0)},
-        r"observers.1.window was 5.0 and is 6.0",
-    ),
     "another observer": (
-        {}, {"observe": [Amplitude(window=5.0), PeakTimes(3)]}, r"observers.2.kind was absent"
+        {}, {"observe": [Amplitude(window=6.0), PeakTimes(3)]},
+        r"observers.1.window was 5.0 and is 6.0;.*observers.2.kind was absent",
     ),
     "observer's number": (
         {"observe": Mine(abs)}, {"observe": Mine(abs, 2.0)}, r"observers.1.factor was 1.0 and is 2"
@@ -182,7 +161,7 @@ CHANGES = {
             {"initial": start(kind(1.0)), "over": SPEEDS},
             {"initial": start(kind(2.0)), "over": SPEEDS}, r"initial and vary has changed",
         )
-        for kind in (float, np.asarray, jnp.asarray, numbers)
+        for kind in (float, jnp.asarray, numbers)
     },
     "vary": ({"vary": loose(0.1)}, {"vary": loose(0.2)}, r"initial and vary has changed"),
     "vary's springs": (
@@ -220,11 +199,15 @@ def known(lanes=4, over=OVER, **changes):
     return fingerprint_of(prepare(RunSettings(**(given | changes)), over, 10**6), lanes)
 
 
+@pytest.fixture(scope="module")
+def usual():
+    return known()
+
+
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_decides_a_number_is_seen_when_it_changes(change):
+def test_what_decides_a_number_is_seen_when_it_changes(usual, change):
     before, after, message = CHANGES[change]
-    first = known(**before)
-    assert differences(first, known(**before)) == []
+    first = known(**before) if before else usual
     assert re.search(message, "; ".join(differences(first, known(**after))))
 
 
@@ -235,14 +218,12 @@ def test_the_tolerance_that_accuracy_picks_is_the_tightest_of_all_blocks(monkeyp
     assert known(**smooth)["solver"] == whole
 
 
-def test_so_is_another_version_of_the_code_or_of_a_library(monkeypatch):
-    before, newer = known(), module.versions() | {"jax": "99.0", "python": "4"}
+def test_so_is_another_version_of_the_code_or_of_a_library(usual, monkeypatch):
+    newer = module.versions() | {"jax": "99.0", "python": "4"}
     monkeypatch.setattr(module, "code", lambda: "sha256 other")
-    assert differences(before, known()) == ["code of jaxchain has changed"]
     monkeypatch.setattr(module, "versions", lambda: newer)
-    assert re.search(
-        r"versions.jax was .* and is 99.0; code", "; ".join(differences(before, known()))
-    )
+    found = "; ".join(differences(usual, known()))
+    assert re.search(r"versions.jax was .* and is 99.0; code of jaxchain has changed", found)
 
 
 def test_a_number_that_an_observer_finds_elsewhere_counts(monkeypatch):
@@ -251,31 +232,24 @@ def test_a_number_that_an_observer_finds_elsewhere_counts(monkeypatch):
     assert differences(before, known(observe=Mine(abs))) == ["observers.1.code has changed"]
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
+def test_what_decides_nothing_may_change(usual):
+    for change in (
         {"initial": lambda chain, excited: equation_8(chain, excited)},  # under another name
         {"model": CHAIN.with_(belt_speed=3.0)},  # which is swept
         {"over": OVER | {"belt_speed": [1.0, 7.0]}},  # a store compares the values itself
         {"t1": 20},
-    ],
-)
-def test_what_decides_nothing_may_change(change):
-    assert differences(known(), known(**change)) == []
+    ):
+        assert differences(usual, known(**change)) == []
+    # The same, made anew.
+    for make in (
+        lambda: {"initial": start(numbers(1.0)), "over": SPEEDS},
+        lambda: {"model": tabulated(0.6), "observe": Mine(abs), "vary": loose(0.1)},
+    ):
+        assert differences(known(**make()), known(**make())) == []
 
 
-@pytest.mark.parametrize(
-    ("over", "message"),
-    [
-        (OVER | {"excited": [0, 2, 1]}, r"over\['excited'\] has other values of excited"),
-        pytest.param(
-            OVER | {"excited": [0, 1]},
-            r"over\['excited'\] has fewer values of excited",
-            marks=pytest.mark.long,
-        ),
-    ],
-)
-def test_a_store_names_what_has_changed(tmp_path, over, message):
+def test_a_store_names_what_has_changed(tmp_path):
+    over, message = OVER | {"excited": [0, 2, 1]}, r"over\['excited'\] has other values of excited"
     small(tmp_path / "a.zarr")
     for change, words in (({"over": over}, message), ({"t1": 21.0}, "t1 was 20.0 and is 21.0")):
         with pytest.raises(ValueError, match=f"belongs to another sweep: {words}") as caught:
@@ -297,48 +271,19 @@ def test_all_of_the_package_that_a_lane_runs_is_in_the_code_version():
     assert {root / "result.py", root / "sweeps/lanes.py", root / "solvers/rosenbrock.py"} < covered
 
 
-PROGRAM = """
-import equinox as eqx, jax, json, sys
-import jaxchain
-jaxchain.configure()
-sys.path[:0] = sys.argv[1:]
-from test_ensemble import Mine, known, loose
-from jaxchain import Amplitude, equation_8
-print(json.dumps(known(
-    initial=lambda chain, excited: equation_8(chain, excited), vary=loose(0.1),
-    over={"excited": [0, 1]}, observe=[Amplitude(window=5.0), Mine(abs)],
-)))
-"""
-
-
-@pytest.mark.long
-def test_it_is_the_same_in_every_process():
-    """Whatever the addresses of functions and the order of sets."""
-    here = Path(__file__).parent
-    command = [sys.executable, "-c", PROGRAM, str(here), str(here.parent)]
-    first, second = (subprocess.run(command, capture_output=True, text=True) for _ in range(2))
-    assert (first.returncode, first.stderr) == (0, "")
-    assert first.stdout == second.stdout
-
-
-COUNTS = {"active_count": 2.0, "front_count": 2.5, "steps": 250.0, "rejected": 20.0}
+COUNTS = ("active_count", "steps", "rejected")
 
 
 @pytest.fixture
 def three():
     """A lane that ended well, one that failed, and one that was interrupted."""
-    nan = np.nan
-    front = jnp.array([[2.0, 3.0], [nan, nan], [nan, nan]])
-    chain, watch = paper_chain(4), [Amplitude(window=20.0), FrontTrack(2)]
-    values = [
-        jnp.array([[1.5, 1.5, 0.1, 0.0], 4 * [nan], 4 * [nan]]), Fronts(front, front, front)
-    ]  # fmt: skip
-    observed = {}
-    for observer, value in zip(watch, values, strict=True):
-        observed |= jax.vmap(lambda one, o=observer: o.label(one, chain))(value)
+    chain, watch = paper_chain(4), Amplitude(window=20.0)
+    values = np.full((3, 4), np.nan)
+    values[0] = 1.5, 1.5, 0.1, 0.0
+    observed = jax.vmap(lambda one: watch.label(one, chain))(values)
     records = {
         "result": np.array([NAMES.index(r) for r in ("successful", "nonfinite", "interrupted")]),
-        "end_time": np.array([60.0, 7.0, nan]),
+        "end_time": np.array([60.0, 7.0, np.nan]),
         "steps": np.array([300, 200, 0]),
         "rejected": np.array([30, 10, 0]),
         "observed": jax.tree.map(np.asarray, observed),
@@ -348,17 +293,15 @@ def three():
 
 def test_counts_are_integers_on_disk_and_missing_again_when_read(three, tmp_path):
     three.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
-    three.to_zarr(tmp_path / "r2.zarr", zarr_format=2, consolidated=True)
-    three.to_zarr(tmp_path / "r3.zarr", zarr_format=3, consolidated=False)
+    three.to_zarr(tmp_path / "r.zarr", consolidated=False)
     with h5py.File(tmp_path / "r.nc") as file:
         for name in COUNTS:
             stored: Any = file[name]
             assert np.issubdtype(stored.dtype, np.integer)
             assert stored.attrs["_FillValue"] == -1
-    for name in ("r2.zarr", "r3.zarr"):
-        raw = xr.open_zarr(tmp_path / name, consolidated=False, mask_and_scale=False)
-        assert all(np.issubdtype(raw[count].dtype, np.integer) for count in COUNTS)
-        again = xr.open_zarr(tmp_path / name, consolidated=False).load()
-        xr.testing.assert_identical(again, three)
+    raw = xr.open_zarr(tmp_path / "r.zarr", consolidated=False, mask_and_scale=False)
+    assert all(np.issubdtype(raw[count].dtype, np.integer) for count in COUNTS)
+    again = xr.open_zarr(tmp_path / "r.zarr", consolidated=False).load()
+    xr.testing.assert_identical(again, three)
     with xr.open_dataset(tmp_path / "r.nc", engine="h5netcdf") as file:
         xr.testing.assert_identical(file.load(), three)

@@ -1,18 +1,17 @@
 """Sweeps: the same numbers as single runs; labels, failures, input."""
 
+from typing import Any
+
+import diffrax as dfx
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-import pandas as pd
 import pytest
 import xarray as xr
 
 from jaxchain import (
     Amplitude,
-    EventDriven,
     PeakTimes,
-    Trajectory,
     equation_8,
     paper_chain,
     simulate,
@@ -84,31 +83,23 @@ def test_the_dataset_is_labelled_and_tells_its_origin(small, tmp_path):
     xr.testing.assert_identical(again, small)
 
 
-def bits(jobs, devices, lanes=4, solver=None):
+def bits(jobs, devices):
     """Amplitudes and steps of the first jobs of seven."""
-    speeds = np.linspace(0.9, 1.45, 7)[:jobs]
     found = sweep(
-        CHAIN, lambda chain: equation_8(chain, 2), 60.0, over={"belt_speed": speeds},
-        observe=Amplitude(window=20.0), lanes=lanes, devices=jax.devices()[:devices],
-        solver=solver,
+        CHAIN, lambda chain: equation_8(chain, 2), 60.0, lanes=4,
+        over={"belt_speed": np.linspace(0.9, 1.45, 7)[:jobs]}, devices=jax.devices()[:devices],
+        observe=Amplitude(window=20.0),
     )  # fmt: skip
     assert (found.result == 0).all()
-    assert found.attrs["lanes_per_device"] == found.attrs["lanes_per_device_at_end"] == lanes
+    assert found.attrs["lanes_per_device"] == found.attrs["lanes_per_device_at_end"] == 4
     return np.concatenate([found.amplitude.values, found.steps.values[:, None]], axis=1)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "solver",
-    [
-        pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="dry"),
-    ],
-)
-def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices(solver):
-    seven = bits(7, 2, solver=solver)
-    for jobs, devices in ((1, 1), (2, 2), (3, 1), (3, 2), (4, 1), (4, 2), (7, 1)):
-        assert np.array_equal(bits(jobs, devices, solver=solver), seven[:jobs])
+def test_the_same_lanes_give_the_same_bits_for_any_number_of_jobs_and_devices():
+    seven = bits(7, 2)
+    for jobs, devices in ((1, 1), (2, 2), (3, 2), (4, 1), (7, 1)):
+        assert np.array_equal(bits(jobs, devices), seven[:jobs])
 
 
 def test_given_lanes_stay_so_many_however_long_the_last_ones_take(monkeypatch):
@@ -162,31 +153,24 @@ def test_results_do_not_depend_on_how_often_the_host_looks(monkeypatch):
         np.testing.assert_array_equal(seldom[name], often[name])
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [
-        pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="dry", marks=pytest.mark.long),
-    ],
-)
-def test_of_a_thousand_lanes_one_fails_and_999_do_not_notice(solver):
+def test_of_two_hundred_lanes_one_fails_and_the_others_do_not_notice():
     """Bit for bit what they are without it."""
-    damping = np.linspace(0.03, 0.08, 1000)
+    damping = np.linspace(0.03, 0.08, 200)
     spoiled = damping.copy()
-    spoiled[500] = -30.0
+    spoiled[100] = -30.0
 
     def run(values):
         return sweep(
-            paper_chain(2, 1.4), lambda chain: equation_8(chain, 1), 30.0, solver=solver,
+            paper_chain(2, 1.4), lambda chain: equation_8(chain, 1), 30.0,
             over={"damping_ratio": values}, observe=Amplitude(window=10.0), rtol=1e-5,
         )  # fmt: skip
 
     whole = run(damping)
-    with pytest.warns(UserWarning, match="1 of 1000 runs"):
+    with pytest.warns(UserWarning, match="1 of 200 runs"):
         broken = run(spoiled)
-    assert NAMES[int(broken["result"][500])] in ("nonfinite", "step_too_small")
-    assert np.all(np.isnan(broken["amplitude"][500]))
-    others = np.arange(1000) != 500
+    assert NAMES[int(broken["result"][100])] in ("nonfinite", "step_too_small")
+    assert np.all(np.isnan(broken["amplitude"][100]))
+    others = np.arange(200) != 100
     assert np.all(broken["result"].values[others] == 0)
     for name in ("amplitude", "steps", "end_time"):
         assert np.array_equal(whole[name].values[others], broken[name].values[others])
@@ -214,8 +198,8 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
     monkeypatch.setattr(Pool, "wait", wait)
     with pytest.raises(SweepInterrupted) as caught:
         sweep(
-            CHAIN, equation_8, 60.0, over={"excited": 4 * [0, 1, 2, 3, 4]},
-            observe=Amplitude(window=20.0), lanes=2, devices=jax.devices()[:1],
+            CHAIN, equation_8, 60.0, over={"excited": 5 * [1, 2, 3, 4]}, lanes=2,
+            observe=Amplitude(window=20.0, stop="quiet"), devices=jax.devices()[:1],
         )  # fmt: skip
     result = caught.value.dataset
     states = [NAMES[int(r)] for r in result.result]
@@ -227,61 +211,28 @@ def test_an_interrupted_sweep_hands_over_what_had_ended(monkeypatch):
         assert np.isnan(result[name].values).tolist() == unknown
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [
-        pytest.param(None, id="smoothed"),
-        pytest.param(EventDriven(), id="dry", marks=pytest.mark.long),
-    ],
-)
-def test_segments_are_those_of_single_runs(solver):
-    watch = [Amplitude(), PeakTimes(4), Named("last")]
-    options = {"observe": watch, "segments": 3, "solver": solver, "max_steps": 400}
-    data = sweep(CHAIN, equation_8, 36.0, over={"excited": [0, 1, 4]}, lanes=2, **options)
+def test_segments_are_those_of_single_runs():
+    watch, chain = [Amplitude(), PeakTimes(4), Named("last")], paper_chain(4, 1.4, 0.1)
+    # A solver that compiles fast.
+    options: Any = {"observe": watch, "segments": 3, "solver": dfx.Heun(), "rtol": 1e-4}
+    options["max_steps"] = 1500  # of each segment
+    data = sweep(chain, equation_8, 36.0, over={"excited": [0, 1, 4]}, lanes=2, **options)
     assert data.peak_time.dims == ("excited", "segment", "peak", "oscillator")
     assert data.segment.values.tolist() == [1, 2, 3]
     np.testing.assert_allclose(data.segment_end, [12.0, 24.0, 36.0])
     for excited in (1, 4):
-        run = simulate(CHAIN, equation_8(CHAIN, excited), 36.0, **options)
+        run = simulate(chain, equation_8(chain, excited), 36.0, **options)
         lane = data.sel(excited=excited)
-        # Rounding differs from one program to the other.
-        assert abs(int(lane.steps) - int(run.steps)) <= 5
+        assert abs(int(lane.steps) - int(run.steps)) <= 2  # rounding differs
         for name, value in zip(("amplitude", "peak_time", "last"), run.observed, strict=True):
-            np.testing.assert_allclose(lane[name], value, atol=1e-3)
+            np.testing.assert_allclose(lane[name], value, atol=1e-8)
     assert data.active_count.isel(excited=2).values.tolist() == [4, 4, 4]
-
-
-@pytest.mark.long
-def test_parameters_go_together_along_one_dimension():
-    """Measured sets and states of shape (samples, n), beside a product."""
-    starts = np.linspace(-1.0, 1.0, 12).reshape(3, 4)
-    together = {"belt_speed": [1.2, 1.4, 1.6], "mu_static": [0.6, 0.8, 1.0], "x0": starts}
-    data = sweep(
-        CHAIN, lambda chain, x0, v0: (x0, v0 + 0 * x0), 5.0,
-        over={"sample": together, "v0": [0.0, 0.5]}, observe=Named("last"), solver=EventDriven(),
-    )  # fmt: skip
-    assert data["last"].dims == ("sample", "v0", "oscillator")
-    assert data.mu_static.dims == ("sample",)
-    assert data.x0.dims == ("sample", "oscillator")
-    assert data.belt_speed.attrs["units"] == "x0 omega_n"
-    chain = CHAIN.with_(belt_speed=1.6, mu_static=1.0)
-    run = simulate(chain, (starts[2], np.full(4, 0.5)), 5.0, observe=Last(), solver=EventDriven())
-    np.testing.assert_allclose(data["last"].isel(sample=2, v0=1), run.observed, atol=1e-6)
-    # A data frame and a dataset are mappings of columns, too.
-    for table in (pd.DataFrame({"v0": [0.0, 0.5]}), xr.Dataset({"v0": ("row", [0.0, 0.5])})):
-        own = sweep(
-            CHAIN, lambda chain, v0: (jnp.ones(4), v0), 5.0, over={"set": table},
-            observe=Named("last"), solver=EventDriven(),
-        )  # fmt: skip
-        assert own["last"].sizes == {"set": 2, "oscillator": 4}
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"over": {}}, "must name at least one quantity"),
         ({"over": {"excited": [1], "speed": [1.0]}}, "names 'speed', which is neither"),
-        ({"over": {"excited": []}}, "must be a non-empty array"),
         (
             {"over": {"excited": [1], "set": {"width": [[1e-3]]}}},
             r"gives one value of \['width'\] for each entry .* has shape \(1,\)",
@@ -294,21 +245,16 @@ def test_parameters_go_together_along_one_dimension():
         ({"over": {"excited": [1], "set": {}}}, "parameters that run along a dimension"),
         ({"over": {"width": {"excited": [1]}, "set": {"width": [1e-3]}}}, "of their own"),
         ({"over": {"set": {"excited": [1], "mu_static": [0.2]}}}, "mu_static"),
-        ({"over": {"excited": [1], "belt_speed": [1.0, float("nan")]}}, "must be finite"),
         ({"over": {"excited": [1], "width": [1e-3, -1.0]}}, "`width` must be positive"),
         ({"over": {"belt_speed": [1.0]}}, r"`initial` needs \['excited'\]"),
         ({"over": {"excited": np.zeros(20_000), "belt_speed": np.ones(1000)}}, "20000000 lanes"),
         ({"t1": -1.0}, "`t1` = -1.0 lies before"),
-        ({"lanes": 0}, "`lanes` must be None or an integer"),
         ({"observe": [Amplitude(), Amplitude(window=5.0)]}, "'amplitude' as `Amplitude` does"),
-        ({"observe": Trajectory(jnp.ones(1))}, r"Use `jax.vmap\(simulate\)`"),
         ({"observe": Last()}, "`Last`, whose value has no labels"),
         ({"observe": Named("steps")}, "names a variable 'steps' as every sweep does"),
         ({"observe": [Named("peak"), PeakTimes()]}, "'peak' as another names a dimension"),
         ({"observe": Named("last", ("oscillator", "oscillator"))}, "name each axis once"),
         ({"observe": Named("excited")}, "also the name of a result"),
-        ({"observe": 3}, "must be an observer or a list of them, but holds 3"),
-        ({"segments": 0}, "`segments` must be None or an integer"),
     ],
 )
 def test_bad_input_is_named_before_anything_runs(change, message):
