@@ -47,9 +47,9 @@ jaxchain.configure(devices=2)
 
 # What compiled programs may take: some fifteen times what all tests leave.
 MOST_BYTES = 2**29
-# What a worker may hold before JAX forgets the programs in memory, a quarter of the machine: they
+# What a worker may hold, as a share of the machine, before JAX forgets the programs in memory: they
 # are on the disk as well.
-MOST_MEMORY = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4
+MOST_MEMORY = 0.25
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -89,7 +89,7 @@ def bounded_memory() -> Iterator[None]:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:  # not on Linux
         return
-    if pages * os.sysconf("SC_PAGE_SIZE") > MOST_MEMORY:
+    if pages > MOST_MEMORY * os.sysconf("SC_PHYS_PAGES"):
         jax.clear_caches()
         gc.collect()
         # glibc keeps what is freed: without this every module that follows would end here, too.
