@@ -12,14 +12,7 @@ import pytest
 
 from jaxchain.basins import blows
 from jaxchain.basins.blows import Blow, gentlest_blow
-from jaxchain.basins.kicks import (
-    DecayOrVibrate,
-    Threshold,
-    Trials,
-    quiet_radius,
-    threshold,
-    upwards,
-)
+from jaxchain.basins.kicks import DecayOrVibrate, Threshold, Trials, quiet_radius
 from jaxchain.model.chain import Chain, paper_chain, steady_sliding
 from jaxchain.observers.samples import Trajectory
 from jaxchain.result import SearchResult, ended_well, name_of
@@ -34,7 +27,7 @@ FREE = Chain(
     stiffness=np.array([1.0, 1.05, 0.95]), ends="free",
 )  # fmt: skip
 # About how far to the right of rest the unstable cycle goes.
-SPEEDS = {1.3: 0.79, 1.5: 1.25, 1.83: 1.84}
+SPEEDS = {1.3: 0.79, 1.83: 1.84}
 
 
 def kicks_of_the_unstable_cycle(speed):
@@ -217,27 +210,6 @@ def test_what_is_not_found_has_no_derivative_and_spoils_no_other():
     slopes = jax.vmap(jax.grad(size))(speeds)
     np.testing.assert_allclose(slopes, [0.0, 1.94019, 0.0], atol=1e-5)
     assert jax.vmap(size)(speeds).tolist() == pytest.approx([0.0, 1.239855, np.inf], abs=1e-6)
-
-
-@pytest.mark.long
-def test_no_other_direction_of_two_masses_is_as_gentle():
-    """All directions of a plane, looked at one by one."""
-    found = gentlest_blow(TWO)
-    alone = gentlest_blow(TWO, direction=[0.0, 1.0])
-    assert 1.0 < float(alone.size / found.size) < 1.0001
-    angles = jnp.linspace(0.0, 2.0 * jnp.pi, 361)[:-1]
-    directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)
-
-    @eqx.filter_jit
-    def sizes(directions):
-        trials = Trials.of(TWO)
-        along = lambda u: threshold(trials, u, *upwards(trials), 1e-7).low
-        return jax.vmap(along)(directions)
-
-    every = sizes(directions)
-    least = float(jnp.min(every))
-    assert float(found.size) <= least * (1.0 + 1e-6)
-    assert float(found.size) == pytest.approx(least, rel=1e-4)  # half a degree
 
 
 @pytest.mark.long

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import equation_8, paper_chain, simulate
+from jaxchain import paper_chain
 from jaxchain.basins import VibratingMasses
 from jaxchain.localization import mistuned_chain
 from jaxchain.observers import Step
@@ -149,15 +149,3 @@ def test_patterns_are_the_same_up_to_the_symmetry_of_the_chain():
     assert len(np.unique(VibratingMasses().merge(every, CHAIN), axis=0)) == 7
     with pytest.raises(ValueError, match="differ in `stiffness`: use"):
         ring.merge(np.ones((1, 6), int), mistuned_chain(CHAIN, 0, 0.01))
-
-
-@pytest.mark.slow
-def test_runs_of_two_masses_say_which_vibrate():
-    """None, one and both vibrate; coupled by 0.05 both exchange their vibration for ever."""
-    chain = paper_chain(2, belt_speed=1.5, width=None)
-    starts = [*(equation_8(chain, k) for k in (0, 1, 2)), ([1.2, -0.8], [0.3, 1.4])]
-    for start, coupling, count in zip(starts, (0.01, 1e-3, 0.01, 0.05), (0, 1, 2, 2), strict=True):
-        chain = chain.with_(coupling=coupling)
-        found = simulate(chain, start, 300.0, observe=VibratingMasses()).observed
-        assert bool(found.decided), coupling
-        assert int(found.vibrates.sum()) == count

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.stats
 from jaxtyping import Array
 from scipy.integrate import solve_ivp
 from systems.double_well import Well, double_well
@@ -138,7 +137,7 @@ def one_mass(speeds=(1.4,), region=None, **how):
 
 @pytest.fixture(scope="module")
 def shares():
-    return one_mass((1.4, 1.42), half_width=0.01, checked=64)
+    return one_mass((1.4, 1.42), half_width=0.02, checked=64)
 
 
 def test_shares_of_one_mass_are_the_area_within_the_unstable_cycle(shares):
@@ -151,7 +150,7 @@ def test_shares_of_one_mass_are_the_area_within_the_unstable_cycle(shares):
         for state, share in (("sliding", exact), ("vibrating", 1 - exact), ("undecided", 0)):
             assert own.low.sel(state=state) <= share <= own.high.sel(state=state)
     box = Box(displacement=(-2, 2), velocity=(-2, 0))
-    back, ahead = one_mass((-1.4,), box, half_width=0.01, seed=5), shares.sel(belt_speed=[1.4])
+    back, ahead = one_mass((-1.4,), box, half_width=0.02, seed=5), shares.sel(belt_speed=[1.4])
     assert back.state.values.tolist() == shares.state.values.tolist()
     assert np.all((back.low.values <= ahead.high.values) & (ahead.low.values <= back.high.values))
 
@@ -160,7 +159,7 @@ def test_what_is_said_of_shares_agrees(shares):
     assert shares.vibrating.values[:2].tolist() == [0, 1]
     assert np.isnan(shares.vibrating[2])
     half = ((shares.high - shares.low) / 2).max()
-    assert half <= 0.01
+    assert half <= 0.02
     assert shares.attrs["longest_half_width"] == half
     assert np.allclose(shares.replicate_share.mean("replicate"), shares.share)
     assert np.array_equal(shares.undecided, shares.share.sel(state="undecided"))
@@ -377,20 +376,3 @@ def test_what_a_share_needs_is_said(shares):
         share_differences(shares, "state")
     with pytest.raises(ValueError, match="swept dimension of at least two values"):
         share_differences(shares.isel(belt_speed=[0]), "belt_speed")
-
-
-@pytest.mark.long
-def test_rotated_patterns_are_equally_likely():
-    chain = paper_chain(3, belt_speed=1.5, width=None)
-    region = Box(displacement=(-2, 2), velocity=(0, 2))
-    how = {"points": "random", "half_width": 0.02, "t1": 300.0, "checked": 0, "seed": 1}
-    masses, ring = (
-        basin_shares(chain, region, classify=VibratingMasses(by=by), **how)
-        for by in ("masses", "ring")
-    )
-    for count in (1, 2):
-        own = masses.share.values[masses.vibrating == count] * masses.attrs["starts"]
-        assert len(own) == 3
-        assert scipy.stats.chisquare(own).pvalue > 0.05
-    assert np.allclose(ring.share[:-1], masses.share.groupby("vibrating").sum())
-    assert len(ring.state) == 5

@@ -1,5 +1,6 @@
 """The basin of steady sliding of one mass against SciPy, runs, differences, and itself."""
 
+import functools
 import itertools
 
 import equinox as eqx
@@ -24,6 +25,7 @@ BOXES = (
 
 
 @jax.jit
+@functools.partial(jax.value_and_grad, argnums=(0, 1))
 def area(radius, box):
     """Of a circle, in 96 steps that begin anywhere."""
     times = jnp.linspace(0.0, 2.0 * jnp.pi, 97) + 0.1
@@ -48,19 +50,16 @@ def exact(radius, box):
 
 
 @pytest.mark.parametrize("box", BOXES)
-def test_the_area_of_a_circle_in_a_box_is_that_of_calculus(box):
-    """The last box touches the circle with all four edges."""
-    assert float(area(1.0, jnp.asarray(box))) == pytest.approx(exact(1.0, box), abs=1e-11)
-
-
-@pytest.mark.parametrize("box", BOXES[1:-1])
-def test_it_has_its_derivatives_in_the_edges_and_in_the_curve(box):
-    by_radius, by_box = jax.grad(area, (0, 1))(1.0, jnp.asarray(box))
+def test_the_area_of_a_circle_in_a_box_and_its_derivatives_are_those_of_calculus(box):
+    """The last box touches the circle with all four edges, where there are no derivatives."""
+    found, (by_radius, by_box) = area(1.0, jnp.asarray(box))
+    assert float(found) == pytest.approx(exact(1.0, box), abs=1e-11)
+    if box == BOXES[-1]:
+        return
     small = 1e-6
-    for k in range(4):
-        moved = small * np.eye(4)[k]
-        slope = (exact(1.0, box + moved) - exact(1.0, box - moved)) / (2.0 * small)
-        assert float(by_box[k]) == pytest.approx(slope, abs=1e-8)
+    moves = small * np.eye(4)
+    slopes = [(exact(1.0, box + m) - exact(1.0, box - m)) / (2.0 * small) for m in moves]
+    np.testing.assert_allclose(by_box, slopes, rtol=0, atol=1e-8)
     slope = (exact(1.0 + small, box) - exact(1.0 - small, box)) / (2.0 * small)
     assert float(by_radius) == pytest.approx(slope, abs=1e-8)
 
@@ -162,25 +161,26 @@ def test_it_ends_where_the_fold_is(width):
 
 
 # Belt speeds, and about how far to the right of rest the unstable cycle goes.
-CYCLES = {1.16: 0.187, 1.3: 0.79, 1.45: 1.15, 1.6: 1.44, 1.75: 1.70, 1.83: 1.84}
+CYCLES = {1.16: 0.187, 1.45: 1.15, 1.83: 1.84}
 SMALL = 1e-5
 # With a load, so that all that is asked about them is compiled once.
 DRY, WIDE = (jc.paper_chain(1, 1.5, width).with_(normal_load=1.0) for width in (None, 1e-2))
 
 
 @eqx.filter_jit
-def slopes(chain, box):
-    """(share, its derivatives in every number of the chain and in the box's edges)."""
-    return jax.value_and_grad(lambda given: sliding_share(*given))((chain, box))
+def with_slopes(chain, box):
+    """(the basin, the derivatives of its share in every number of the chain and in the edges)."""
+
+    def share(given):
+        found = sliding_basin(*given)
+        return found.share, found
+
+    slopes, found = jax.grad(share, has_aux=True)((chain, box))
+    return found, slopes
 
 
-@eqx.filter_jit
-def basin(chain, box):
-    return sliding_basin(chain, box)
-
-
-def share(chain, box=None):
-    return float(basin(chain, Box() if box is None else box).share)
+def basin(chain, box=None):
+    return with_slopes(chain, Box() if box is None else box)[0]
 
 
 def right_of(plane, about):
@@ -191,7 +191,7 @@ def right_of(plane, about):
 def test_the_share_is_that_of_another_quadrature(speed):
     plane = Plane.paper(speed)
     right = right_of(plane, CYCLES[speed])
-    found = basin(DRY.with_(belt_speed=speed), Box())
+    found = basin(DRY.with_(belt_speed=speed))
     assert bool(found.successful)
     assert float(found.share) == pytest.approx(plane.area(right, (-2, 2), (0, 2)) / 8, abs=1e-11)
     up, down = plane.at_rest(right)
@@ -200,72 +200,66 @@ def test_the_share_is_that_of_another_quadrature(speed):
     assert float(found.gap) < 1e-12
 
 
-@pytest.mark.parametrize("speed", [1.2, 1.5])
-@pytest.mark.parametrize("width", [None, 0.05])
-def test_edges_of_the_box_may_cut_the_cycle_anywhere(speed, width):
-    plane = Plane.paper(speed, width)
-    chain = (DRY if width is None else WIDE.with_(width=width)).with_(belt_speed=speed)
-    cycle = basin(chain, Box())
-    about = 0.45 if speed == 1.2 else 1.3
-    right = right_of(plane, about)
+@pytest.mark.parametrize(("width", "speed", "about"), [(None, 1.5, 1.3), (0.05, 1.2, 0.45)])
+def test_edges_of_the_box_may_cut_the_cycle_anywhere(width, speed, about):
+    plane, find = Plane.paper(speed, width), eqx.filter_jit(sliding_basin) if width else basin
+    chain = (WIDE.with_(width=width) if width else DRY).with_(belt_speed=speed)
+    cycle, right = find(chain, Box()), right_of(plane, about)
     for x, v in (((-0.4, 0.7), (-0.3, 0.2)), ((0.6, 3.0), (-2.0, -0.1)), ((0.5, 0.6), (0, 0.1))):
-        found = basin(chain, Box(x, v))
+        found = find(chain, Box(x, v))
         assert float(found.area) == pytest.approx(plane.area(right, x, v), abs=1e-10)
         assert float(found.up) == float(cycle.up)
 
 
 @pytest.mark.parametrize("chain", [DRY, pytest.param(WIDE, marks=pytest.mark.long)])
-@pytest.mark.parametrize("speed", [1.16, 1.6, 1.78])
+@pytest.mark.parametrize("speed", [1.16, 1.78])
 def test_it_has_its_derivatives_in_every_number_and_in_the_edges(chain, speed):
     # The load moves Hopf and fold.
     chain = chain.with_(belt_speed=1.05 * speed, normal_load=1.1)
     box = Box((-1.5, 1.0), (-0.1, 0.9))
-    value, (by_chain, by_box) = slopes(chain, box)
-    assert 0.0 < float(value) < 1.0
-    numbers = chain.parameters()
-    for name, number in numbers.items():
+    found, (by_chain, by_box) = with_slopes(chain, box)
+    assert 0.0 < float(found.share) < 1.0
+    slopes = by_chain.parameters()
+    for name, number in chain.parameters().items():
         if number is None:
             continue
         small = SMALL * (0.01 if name == "width" else 1.0)
-        ends = [share(chain.with_(**{name: number + s * small}), box) for s in (-1, 1)]
-        slope = by_chain.parameters()[name]
-        assert float(slope) == pytest.approx(
-            (ends[1] - ends[0]) / (2 * small), rel=1e-6, abs=1e-6
-        ), name
-    for name in ("displacement", "velocity"):
-        edges = {"displacement": box.displacement, "velocity": box.velocity}
-        for k in (0, 1):
-            moved = [Box(**edges | {name: edges[name].at[k].add(s)}) for s in (-SMALL, SMALL)]
-            ends = [share(chain, own) for own in moved]
-            slope = getattr(by_box, name)[k]
-            assert float(slope) == pytest.approx((ends[1] - ends[0]) / (2 * SMALL), abs=1e-6)
+        low, high = (basin(chain.with_(**{name: number + s}), box) for s in (-small, small))
+        slope = float(high.share - low.share) / (2 * small)
+        assert float(slopes[name]) == pytest.approx(slope, rel=1e-6, abs=1e-6), name
+    edges = {"displacement": box.displacement, "velocity": box.velocity}
+    for name, k in itertools.product(edges, (0, 1)):
+        low, high = (
+            basin(chain, Box(**edges | {name: edges[name].at[k].add(s)})) for s in (-SMALL, SMALL)
+        )
+        slope = float(high.share - low.share) / (2 * SMALL)
+        assert float(getattr(by_box, name)[k]) == pytest.approx(slope, abs=1e-6)
 
 
 def test_outside_of_hopf_and_fold_it_is_all_or_nothing():
     hopf, fold = 1.151292546497023, 1.8366009722079242
     for speed, wanted in ((0.01, 0), (1.0, 0), (hopf - 1e-6, 0), (fold + 1e-8, 1), (2.5, 1)):
-        found = basin(DRY.with_(belt_speed=speed), Box())
+        found, slopes = with_slopes(DRY.with_(belt_speed=speed), Box())
         assert float(found.share) == wanted
         assert bool(found.successful)
         assert float(found.up) == (np.inf if wanted else 0.0)
         assert np.isnan(found.period)
-        _, (by_chain, by_box) = slopes(DRY.with_(belt_speed=speed), Box())
-        assert all(float(jnp.max(jnp.abs(g))) == 0 for g in jax.tree.leaves((by_chain, by_box)))
-    assert share(DRY.with_(belt_speed=hopf + 1e-6)) == pytest.approx(0.0, abs=1e-5)
-    assert share(DRY.with_(belt_speed=fold - 1e-8)) == pytest.approx(0.61056, abs=1e-5)
-    assert share(DRY.with_(damping_ratio=0.6, belt_speed=0.5)) == 1.0
+        assert all(not np.any(slope) for slope in jax.tree.leaves(slopes))
+    for changes, share in (
+        ({"belt_speed": hopf + 1e-6}, 0.0),
+        ({"belt_speed": fold - 1e-8}, 0.61056),
+        ({"damping_ratio": 0.6, "belt_speed": 0.5}, 1.0),
+    ):
+        assert float(basin(DRY.with_(**changes)).share) == pytest.approx(share, abs=1e-5)
 
 
-@pytest.mark.parametrize("chain", [DRY, WIDE])
-def test_what_cannot_be_known_is_refused_with_the_reason(chain):
-    def reason(**changes):
-        found = basin(chain.with_(**changes), Box())
+def test_what_cannot_be_known_is_refused_with_the_reason():
+    at_hopf = float(jc.hopf_belt_speed(DRY)) * (1 + 1e-10)
+    for speed, reason in ((0.0, "belt_too_slow"), (at_hopf, "at_hopf")):
+        found = basin(DRY.with_(belt_speed=speed))
         assert np.isnan(found.share)
         assert np.isnan(found.up)
-        return name_of(found.result)
-
-    assert reason(belt_speed=0.0) == "belt_too_slow"
-    assert reason(belt_speed=float(jc.hopf_belt_speed(chain)) * (1 + 1e-10)) == "at_hopf"
+        assert name_of(found.result) == reason
 
 
 @pytest.mark.long
@@ -276,13 +270,12 @@ def test_that_all_motions_come_to_rest_is_not_said_where_nothing_damps_them():
         assert name_of(sliding_basin(chain).result) == wanted
 
 
-@pytest.mark.parametrize("chain", [DRY, WIDE])
-def test_the_mirror_image_has_the_same_share(chain):
+def test_the_mirror_image_has_the_same_share():
     box, other = Box((-1.0, 0.5), (-0.3, 2.0)), Box((-0.5, 1.0), (-2.0, 0.3))
-    ahead, back = basin(chain, box), basin(chain.with_(belt_speed=-1.5), other)
+    ahead, back = basin(DRY, box), basin(DRY.with_(belt_speed=-1.5), other)
     assert float(ahead.share) == pytest.approx(float(back.share), abs=1e-14)
     assert (float(ahead.up), float(ahead.down)) == (float(back.down), float(back.up))
-    np.testing.assert_array_equal(ahead.state, -jnp.stack(back.state))
+    np.testing.assert_array_equal(ahead.state, -np.stack(back.state))
 
 
 @pytest.mark.long

@@ -1,6 +1,5 @@
 """The criteria of a verdict: exponents, tori, and ensembles with noise."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from jaxchain.chaos.classification import (
     judge_exponents,
     judge_torus,
 )
+from jaxchain.cycles.limit_cycle import ClosedOrbit
 
 
 def run_of(kind="open", noise=0.0, exponents=(), width=1e-3, **more):
@@ -121,14 +121,19 @@ def test_every_multiplier_may_have_the_error_of_the_trivial_one():
     """(ln mu)' = 1 / mu, so that small ones have rates of greater error."""
     mu, period, defect = np.array([0.5, 1e-2]), 6.0, 1e-5
     rates = np.log(mu) / period
-    known = {"period": period, "exponents": rates, "highest_exponents": rates}
-    orbit: Any = SimpleNamespace(**known, defect=defect)
+    no: Any = None
+    known: Any = {"period": period, "multipliers": mu, "defect": defect, "resolution": 1e-9}
+    orbit = ClosedOrbit(state=no, gap=no, distance=no, returned=no, evaluations=no, **known)
     found = _on_orbit(Evidence(0.0, 0), orbit, True, 500.0)
     assert found.kind == "cycle"
     np.testing.assert_allclose(found.exponents, [0.0, *rates])
     errors = defect / period * np.array([1.0, *1 / mu])
     np.testing.assert_allclose(found.high - found.exponents, errors, rtol=1e-9)
     np.testing.assert_allclose(found.exponents - found.low, errors, rtol=1e-9)
+    # One that sticking erases, and one below the resolution.
+    orbit = orbit._replace(multipliers=np.array([0.0, np.nan]))
+    np.testing.assert_allclose(orbit.exponents, [-np.inf, np.nan])
+    np.testing.assert_allclose(orbit.highest_exponents, [-np.inf, np.log(1e-9) / period])
 
 
 def test_a_forced_motion_has_no_exponent_of_the_flow():

@@ -1,6 +1,7 @@
 """Lyapunov exponents against closed forms, multipliers, Lorenz's system and a second method."""
 
 import diffrax as dfx
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,41 +43,39 @@ def resting_rate(chain):
     return float(-chain.damping_ratio + 0.5 * drop)
 
 
-@pytest.mark.long
-def test_one_dry_mass_vibrates_and_two_rest():
-    """0 and -inf of the cycle, and the damping of the others; the last step back to the start."""
-    chain = apart(1.5)
-    cycle = vibrating_cycle(numbers_of(paper_chain(1, 1.5)))
-    assert cycle is not None
-    found = dry(chain, equation_8(chain, 1), 350 * cycle.period, 150 * cycle.period, cycle.period)
-    rate = resting_rate(chain)
-    assert rate < 0
-    np.testing.assert_allclose(found.exponents[0], 0.0, atol=1e-8)
-    np.testing.assert_allclose(found.smooth[1:5], rate, atol=1e-4)
-    assert np.all(np.isneginf(found.block_exponents[:, 5]))
-    assert float(found.low[5]) == float(found.high[5]) == float(found.sum) == -np.inf
-    assert float(found.kaplan_yorke) == pytest.approx(1.0, abs=1e-6)
-    assert found.chaotic() is None
-    assert float(found.t) == pytest.approx(350 * cycle.period)
+def test_dry_cells_slide_vibrate_and_shrink_fast_in_intervals_as_short_as_that_takes():
+    """Eigenvalues of a mass that slides, a cycle that nothing grows along, and much damping.
 
-
-def test_each_part_of_a_dry_run_starts_with_the_friction_of_its_state():
-    """A mass that slides has the rates of its eigenvalues; along a cycle nothing grows."""
+    Each interval starts with the friction of its state.  With the damping 100 a direction shrinks
+    by e^-100 per unit, far below rounding.
+    """
     chain = paper_chain(1, 1.5, None)
-    cycle = vibrating_cycle(numbers_of(chain))
+    cell = MechanicalCells(1.0, damping=0.1, friction=chain.friction, belt_speed=1.5)
+    start = jnp.array([0.5]), jnp.zeros(1)
+    cycle, rate = vibrating_cycle(numbers_of(chain)), resting_rate(chain)
     assert cycle is not None
-    for start, exact in (
-        ((jnp.array([0.7]), jnp.array([0.1])), [resting_rate(chain)] * 2),
-        (equation_8(chain, 1), [0.0, -np.inf]),
+    period, damped = cycle.period, cell.with_(damping=100.0)
+    exact = np.linalg.eigvals(
+        jax.jit(lambda cell: cell.jacobian(0.0, start))(damped.with_(width=0.1))
+    )
+    for own, initial, t1, transient, interval, step, rates, rtol in (
+        (cell, (jnp.array([0.7]), jnp.array([0.1])), 30, 10, 0.3, 0.5, [rate, rate], 0.0),
+        (cell, equation_8(chain, 1), 30, 10, 0.3, 0.5, [0.0, -np.inf], 0.0),
+        (damped, start, 11 / period, 1 / period, 0.5, 0.01, sorted(np.real(exact))[::-1], 0.02),
     ):
         found = lyapunov_spectrum(
-            chain, start, 30 * cycle.period, transient=10 * cycle.period, interval=0.3
-        )
-        np.testing.assert_allclose(found.smooth, exact, atol=1e-5)
+            own, initial, t1 * period, transient=transient * period, interval=interval,
+            max_step=step, rtol=1e-9,
+        )  # fmt: skip
+        np.testing.assert_allclose(found.smooth, rates, rtol=rtol, atol=1e-5)
+        if rates[1] == -np.inf:
+            assert float(found.low[1]) == float(found.high[1]) == float(found.sum) == -np.inf
+            assert float(found.kaplan_yorke) == pytest.approx(1.0, abs=1e-5)
+            assert found.chaotic() is None
 
 
 def test_a_run_goes_on_where_it_ended():
-    chain, exact = linear_chain(3, 1.5, np.array([0.20, 0.22, 0.43]))
+    chain, exact = eqx.filter_jit(linear_chain)(3, 1.5, np.array([0.20, 0.22, 0.43]))
     found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 22.0, 2.0)
     on = dry(chain, found.state, 300.0, 200.0, max_step=0.05)
     np.testing.assert_allclose(on.exponents, exact, atol=1e-10, rtol=0)
@@ -92,38 +91,35 @@ def test_errors_of_means_over_blocks():
     """The 95 % interval of independent and of remembering blocks covers the truth as it should."""
     rng = np.random.default_rng(0)
     trials, blocks = 2000, 20
+    error_of = jax.jit(batch_error)
     for memory, least in ((0.0, 0.93), (0.5, 0.85)):
         noise = rng.normal(size=(blocks + 30, trials))
         series = np.zeros_like(noise)
         for k in range(1, blocks + 30):
             series[k] = memory * series[k - 1] + noise[k]
-        error, repeats = batch_error(jnp.asarray(series[30:]))
+        error, repeats = error_of(series[30:])
         covered = np.abs(series[30:].mean(axis=0)) < 2.093 * np.asarray(error)
         assert least < covered.mean() <= 0.99
-        assert float(jnp.mean(repeats)) == pytest.approx(memory - 0.1, abs=0.1)
-    one = jnp.array([[1.0, -jnp.inf, 2.0], [2.0, -jnp.inf, 2.0], [4.0, 1.0, 2.0]])
-    error, repeats = batch_error(one)
+        assert np.mean(repeats) == pytest.approx(memory - 0.1, abs=0.1)
+    error, repeats = error_of(
+        np.array([[1.0, -np.inf, 2.0], [2.0, -np.inf, 2.0], [4.0, 1.0, 2.0]])
+    )
     expected = np.array([np.std([1, 2, 4], ddof=1) / 3**0.5, 0.0, 0.0])
     np.testing.assert_allclose(error, expected, rtol=1e-12)
     assert np.all(np.isfinite(repeats))
 
 
-@pytest.mark.parametrize(
-    ("exponents", "complete", "dimension"),
-    [
-        ((0.5, 0.0, -1.0, -4.0), True, 2.5),
-        ((0.0, -1.0), True, 1.0),
-        ((0.0, 0.0, -1.0), True, 2.0),
-        ((-0.2, -1.0), True, 0.0),
-        ((0.3, 0.0, -np.inf), True, 2.0),
-        ((0.3, -0.1), True, 2.0),  # volumes grow: all there is
-        ((0.3, -0.1), False, np.nan),  # more exponents are needed
-        ((0.3, -0.5, np.nan), True, np.nan),
-    ],
-)
-def test_kaplan_yorke_dimension(exponents, complete, dimension):
-    found = float(kaplan_yorke_dimension(jnp.asarray(exponents), complete))
-    assert found == pytest.approx(dimension, nan_ok=True)
+def test_kaplan_yorke_dimension():
+    dimension = jax.jit(kaplan_yorke_dimension, static_argnums=1)
+    spectra = np.array([
+        [0.5, 0.0, -1.0, -4.0], [0.0, -1.0, -1.0, -1.0], [0.0, 0.0, -1.0, -1.0],
+        [-0.2, -1.0, -1.0, -1.0], [0.3, 0.0, -np.inf, -np.inf], [0.3, -0.5, np.nan, np.nan],
+    ])  # fmt: skip
+    found = [dimension(spectrum, True) for spectrum in spectra]
+    np.testing.assert_allclose(found, [2.5, 1.0, 2.0, 0.0, 2.0, np.nan])
+    # Volumes grow: all there is, or more exponents are needed.
+    found = [dimension(np.array([0.3, -0.1]), complete) for complete in (True, False)]
+    np.testing.assert_allclose(found, [2.0, np.nan])
 
 
 @pytest.mark.long
@@ -151,17 +147,6 @@ def test_the_sum_is_the_mean_divergence_for_a_narrow_width():
     chain, start = paper_chain(1, 1.5, width=3e-3), (jnp.array([2.2]), jnp.zeros(1))
     found = lyapunov_spectrum(chain, start, 100.0, transient=50.0, blocks=5)
     assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=1e-3)
-
-
-@pytest.mark.parametrize("width", [None, pytest.param(0.1, marks=pytest.mark.long)])
-def test_directions_that_shrink_fast_are_followed_in_shorter_intervals(width):
-    """With the damping 100 by e^-100 per unit, far below rounding."""
-    friction = paper_chain(1, width=width).friction
-    cell = MechanicalCells(1.0, damping=100.0, friction=friction, belt_speed=1.5)
-    start = jnp.array([0.5]), jnp.zeros(1)
-    found = lyapunov_spectrum(cell, start, 6.0, transient=1.0, blocks=2, max_step=0.01)
-    exact = np.linalg.eigvals(cell.with_(width=0.1).jacobian(0.0, start))
-    np.testing.assert_allclose(found.smooth, sorted(np.real(exact))[::-1], rtol=0.02)
 
 
 @pytest.mark.long

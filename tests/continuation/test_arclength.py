@@ -13,7 +13,6 @@ import pytest
 from systems.normal_forms import (
     bratu,
     circle,
-    cycles,
     hyperbola,
     hysteresis,
     kink,
@@ -29,6 +28,9 @@ import jaxchain
 from jaxchain.continuation.arclength import continue_branch, switch_branch
 from jaxchain.continuation.branch import BranchRecorder
 
+# Forward derivatives are enough.
+ROUND = looped(circle)
+
 
 def fold_values(branch):
     return [point.p for point in branch.of_kind("fold")]
@@ -43,8 +45,7 @@ def hits(branch, folds, case):
 
 
 def test_a_circle_closes():
-    """Forward derivatives are enough."""
-    branch = continue_branch(looped(circle), [1.0], 0.0)
+    branch = continue_branch(ROUND, [1.0], 0.0)
     assert branch.ended == "closed"
     np.testing.assert_allclose(branch.u[:, 0] ** 2 + branch.p**2, 1.0, rtol=1e-14)
     np.testing.assert_allclose(branch.arclength[-1], 2 * np.pi, rtol=1e-5)
@@ -63,22 +64,9 @@ def test_hysteresis_turns_twice_and_ends_on_the_bound():
         assert branch.arclength[point.index] < point.arclength < branch.arclength[point.index + 1]
 
 
-def test_a_turn_is_a_fold_however_loose_the_tolerance():
-    for a in (1.0, 0.1, 1e-4):
-        start = [1e-3 * a], -1e-3 * a**2, jnp.array(a)
-        assert fold_values(continue_branch(cycles, *start, bounds=(-1, 0.5))) == []
-        for tolerance in (1e-3, 1e-5, 1e-10):
-            branch = continue_branch(
-                cycles, *start, direction=-1, bounds=(-1, 0.5), tolerance=tolerance
-            )
-            hits(branch, [-(a**2) / 4], (a, tolerance))
-
-
 def test_two_turns_within_a_step_are_folds_however_loose_the_tolerance():
     """Also a narrow kink, and folds that are about to vanish, from several starts."""
-    cases = [(d, t, -0.53) for d in (1e-2, 5e-4) for t in (1e-3, 1e-10)]
-    cases += [(0.1, 1e-9, -0.5), (1e-3, 1e-5, -0.57)]
-    for d, tolerance, start in cases:
+    for d, tolerance, start in ((1e-2, 1e-3, -0.53), (5e-4, 1e-10, -0.53), (1e-3, 1e-5, -0.57)):
         how = {"bounds": (-1, 0.5), "tolerance": tolerance}
         branch = continue_branch(unfolded, [-0.8], -0.5, jnp.array(d), **how)
         hits(branch, [2 * d**3, -2 * d**3], (d, tolerance))
@@ -90,7 +78,7 @@ def test_two_turns_within_a_step_are_folds_however_loose_the_tolerance():
 
 
 def test_tests_and_branch_points_say_their_error_and_keep_it():
-    for tolerance in (1e-3, 1e-6, 1e-10):
+    for tolerance in (1e-3, 1e-10):
         branch = continue_branch(
             logistic, [0.5], 2.0, bounds=(1.5, 3.5), tolerance=tolerance,
             tests={"doubling": lambda u, p, tangent, multiplier: multiplier[0] + 1.0},
@@ -131,15 +119,13 @@ def test_a_pitchfork_and_its_imperfection():
 
 
 def test_it_stays_on_its_side_of_a_near_miss_and_on_its_sheet():
-    for gap in (1e-1, 1e-4):
-        branch = continue_branch(hyperbola, [1.0], -1.0, jnp.array(gap), bounds=(-2, 1))
-        assert branch.special == (), gap
-        assert np.all(branch.u > 0)
-        np.testing.assert_allclose(branch.u[:, 0], np.hypot(branch.p, gap), rtol=1e-9)
-    for gap in (1e-1, 1e-3):
-        branch = continue_branch(sheets, [0.0], 0.0, jnp.array(gap), bounds=(-2, 7))
-        assert (branch.ended, branch.special) == ("left_bounds", ()), gap
-        np.testing.assert_allclose(branch.u[:, 0], np.sin(branch.p), atol=1e-9)
+    branch = continue_branch(hyperbola, [1.0], -1.0, jnp.array(1e-4), bounds=(-2, 1))
+    assert branch.special == ()
+    assert np.all(branch.u > 0)
+    np.testing.assert_allclose(branch.u[:, 0], np.hypot(branch.p, 1e-4), rtol=1e-9)
+    branch = continue_branch(sheets, [0.0], 0.0, jnp.array(1e-3), bounds=(-2, 4))
+    assert (branch.ended, branch.special) == ("left_bounds", ())
+    np.testing.assert_allclose(branch.u[:, 0], np.sin(branch.p), atol=1e-9)
 
 
 def test_bratu_converges_to_the_known_fold_with_second_order():
@@ -187,7 +173,7 @@ def test_the_caller_s_jacobian_is_used_instead_and_weights_measure_the_steps():
     own = continue_branch(
         stretched, [1e3], 0.0, value_and_jacobian=value_and_jacobian, weights=[1e-3, 1.0]
     )
-    plain = continue_branch(circle, [1.0], 0.0)
+    plain = continue_branch(ROUND, [1.0], 0.0)
     np.testing.assert_allclose(own.p, plain.p, atol=1e-12)
     np.testing.assert_allclose(own.u, 1e3 * plain.u, atol=1e-9)
     np.testing.assert_allclose(own.extra["twice"], 2 * own.u, atol=1e-9)
@@ -216,9 +202,9 @@ def test_the_other_branch_of_a_pitchfork():
     lost = switch_branch(lambda u, p, args: u * (1.0 + p**2), known.special[0])
     assert lost.u is None
     assert "known branch" in lost.reason
-    fold = continue_branch(circle, [1.0], 0.0).special[0]
+    fold = continue_branch(ROUND, [1.0], 0.0).special[0]
     with pytest.raises(ValueError, match='must be of kind "branch point", but is a "fold"'):
-        switch_branch(circle, fold)
+        switch_branch(ROUND, fold)
 
 
 def test_the_end_of_a_branch_is_named_and_nothing_is_lost():
@@ -277,8 +263,8 @@ def test_an_interruption_keeps_all_points_where_a_part_is_wanted(monkeypatch):
 
 def test_both_ways_give_one_branch_and_a_cut_says_so():
     options = {"bounds": (-0.5, 0.7), "max_points": 40}
-    whole = continue_branch(circle, [1.0], 0.0, both=True, **options)
-    back, ahead = (continue_branch(circle, [1.0], 0.0, direction=d, **options) for d in (-1, 1))
+    whole = continue_branch(ROUND, [1.0], 0.0, both=True, **options)
+    back, ahead = (continue_branch(ROUND, [1.0], 0.0, direction=d, **options) for d in (-1, 1))
     np.testing.assert_array_equal(whole.p, [*back.p[:0:-1], *ahead.p])
     assert np.all(np.diff(whole.arclength) > 0)
     assert (whole.ended_first, whole.ended) == ("left_bounds", "left_bounds")
@@ -288,7 +274,7 @@ def test_both_ways_give_one_branch_and_a_cut_says_so():
         if point.p > 0.3:
             raise KeyboardInterrupt
 
-    cut = continue_branch(circle, [1.0], 0.0, both=True, progress=interrupt, **options)
+    cut = continue_branch(ROUND, [1.0], 0.0, both=True, progress=interrupt, **options)
     assert (cut.ended_first, cut.ended) == ("left_bounds", "interrupted")
     assert (cut.p[0], cut.p[-1] > 0.3) == (-0.5, True)
 
@@ -301,7 +287,10 @@ def test_no_caller_inside_the_library_or_the_programs_takes_a_part_for_a_whole_b
     programs = (Path(__file__).parents[2] / "examples").rglob("*.py")
     calls, passed_on = 0, set()
     for file in (*library.rglob("*.py"), *programs):
-        for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        text = file.read_text(encoding="utf-8")
+        if not any(f"{name}(" in text for name in names):
+            continue
+        for call in ast.walk(ast.parse(text)):
             if not isinstance(call, ast.Call):
                 continue
             name = getattr(call.func, "id", getattr(call.func, "attr", ""))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from jaxchain import Amplitude, Chain, EventDriven, equation_8, paper_chain, simulate, sweep
+from jaxchain import Chain, equation_8, paper_chain, sweep
 from jaxchain.localization.mistuning import (
     linear_modes,
     localization_length,
@@ -150,30 +150,6 @@ def test_localization_length_for_great_disorder_and_none():
 
 def ladder(chain):
     return equation_8(chain, 2)
-
-
-RUN = {"observe": Amplitude(window=10.0), "solver": EventDriven(), "rtol": 1e-5}
-
-
-@pytest.fixture(scope="module")
-def thousand():
-    """A thousand chains of four, in one sweep."""
-    return sweep(
-        paper_chain(4, 1.3), ladder, 20.0, vary=mistuned_chain,
-        over={"disorder": [0.0, 0.08], "seed": range(500)}, **RUN,
-    )  # fmt: skip
-
-
-@pytest.mark.long
-def test_a_varied_lane_is_the_run_of_its_chain(thousand):
-    chain = mistuned_chain(paper_chain(4, 1.3), 7, 0.08)
-    run = simulate(chain, ladder(chain), 20.0, **RUN)
-    np.testing.assert_allclose(thousand["amplitude"][1, 7], run.observed, rtol=1e-9)
-    # Without disorder all are the tuned chain.
-    tuned = paper_chain(4, 1.3)
-    run = simulate(tuned, ladder(tuned), 20.0, **RUN)
-    np.testing.assert_allclose(thousand["amplitude"][0, [0, 499]], [run.observed] * 2, rtol=1e-9)
-    assert np.ptp(thousand["amplitude"][1].values, axis=0).max() > 1e-3
 
 
 def test_the_chain_of_a_lane_has_its_own_numbers_first_and_is_varied_then():
