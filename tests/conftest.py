@@ -47,8 +47,8 @@ jaxchain.configure(devices=2)
 
 # What compiled programs may take: some fifteen times what all tests leave.
 MOST_BYTES = 2**29
-# What a worker may hold, as a share of the machine, before JAX forgets the programs in memory: they
-# are on the disk as well.
+# What a worker may hold, as a share of the machine, before JAX forgets the programs in memory:
+# they are on the disk as well.
 MOST_MEMORY = 0.25
 
 

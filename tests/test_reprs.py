@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import fields
+from typing import Any
 from xml.etree import ElementTree
 
 import equinox as eqx
@@ -197,7 +198,8 @@ def test_runs_are_drawn_over_time_or_over_the_masses():
     path = jnp.arange(12.0).reshape(6, 2), jnp.zeros((6, 2))
     run = made_up_run(Trajectory(np.arange(6.0)), path)
     assert "time" in sketch_of(run)
-    ((_, displacements),) = run._sketch().lines
+    sketch: Any = run._sketch()
+    ((_, displacements),) = sketch.lines
     np.testing.assert_array_equal(displacements, path[0])
     assert "displacement at the end" in sketch_of(made_up_run(Amplitude(), jnp.ones(2)))
 

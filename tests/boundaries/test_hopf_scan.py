@@ -1,5 +1,7 @@
 """Every Hopf point is listed and described: closed forms, NumPy, cycles by harmonic balance."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,7 +27,7 @@ def springs(chain):
     return K
 
 
-def damping(v, width, xi=0.05, load=1.0):
+def damping(v, width, xi: Any = 0.05, load: Any = 1.0):
     """2 xi + p d(mu tanh) / dv of the paper's law."""
     direction, mu = np.tanh(v / width), 0.5 + 0.5 * np.exp(-2 * v)
     return 2 * xi + load * (-np.exp(-2 * v) * direction + mu * (1 - direction**2) / width)
@@ -35,7 +37,8 @@ def eigenvalues(chain, v):
     n, load = chain.n, 1.0 if chain.normal_load is None else np.asarray(chain.normal_load)
     d = damping(v, float(chain.width), np.asarray(chain.damping_ratio), load)
     J = np.block([[np.zeros((n, n)), np.eye(n)], [-springs(chain), -np.diag(d)]])
-    return np.linalg.eigvals(J)
+    values: Any = np.linalg.eigvals(J)
+    return values
 
 
 MISTUNED = paper_chain(3, width=0.1).with_(

@@ -1,5 +1,7 @@
 """Limit cycles, stable or not, against SciPy, exact ones and finite differences."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,7 @@ from jaxchain.boundaries import find_hopf_point
 from jaxchain.cycles.limit_cycle import find_limit_cycle
 
 
-def check_cycle(speed, x, v, period, amplitude, multiplier):
+def check_cycle(speed, x, v, period, amplitude, multiplier: Any):
     """By SciPy, from the greatest velocity: it closes.  M f = f, so tr M = 1 + the multiplier."""
     mass, start = OneMass(0.05), (float(x[0]), float(v[0]))
     end, M = mass.after(*start, float(period), speed)
@@ -33,7 +35,8 @@ def test_one_mass_agrees_with_scipy(branch):
     cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=0.05), branch=branch)
     assert cycle.stable is (branch == "stable")
     assert float(cycle.residual) < 1e-9
-    check_cycle(1.5, *cycle.state, cycle.period, cycle.amplitude, *cycle.multipliers)
+    (multiplier,) = cycle.multipliers
+    check_cycle(1.5, *cycle.state, cycle.period, cycle.amplitude, multiplier)
     assert float(cycle.trivial_defect) < 1e-7
     assert float(cycle.liouville_defect) < 1e-7
     assert float(cycle.energy) == pytest.approx(float(cycle.amplitude[0]) ** 2 / 2, rel=1e-7)

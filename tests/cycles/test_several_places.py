@@ -1,5 +1,7 @@
 """Branches of cycles with impacts, and with several contacts: closed form, and searches."""
 
+from typing import Any
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -51,7 +53,7 @@ def test_an_orbit_with_impacts_is_that_in_closed_form_up_to_its_grazings(compile
         return flown(force, impact[0], GAP, -RESTITUTION * impact[1], time)
 
     start = tuple(jnp.asarray(part)[None] for part in at_zero(0.81, impact) * SIZES)
-    ends, how = [], {"parameter": "force"}
+    ends, how = [], dict[str, Any](parameter="force")
     for direction in (1, -1):
         branch = continue_cycle(HITS, start, PERIOD * TIME, direction=direction, **how)
         near = impact

@@ -209,7 +209,8 @@ def test_a_threshold_counts_masses_with_and_without_a_belt():
     found, wanted = simulate(chain, block, 60.0, observe=(own, given)).observed
     np.testing.assert_array_equal(found.right, wanted.right)
     still = VanDerPol(jnp.full(12, -1e-9))  # free oscillators: those of the block go on
-    count = np.sum(np.hypot(*block) > 0.75)
+    x, v = block
+    count = np.sum(np.hypot(x, v) > 0.75)
     assert simulate(still, block, 60.0, observe=given).observed.count.tolist() == [count] * 3
     with pytest.raises(ValueError, match="`threshold` of `FrontTrack` must be an amplitude"):
         simulate(still, block, 60.0, observe=own)

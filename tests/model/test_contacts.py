@@ -82,7 +82,7 @@ def test_cells_side_by_side_have_numbers_of_their_own():
     force = lambda t, q, v: 0.7 * np.cos(0.9 * t) - K @ q - 0.03 * v
     numbers = zip((0.5, 0.4, 0.3, 0.3), (0.3, 0.3, 0.2, 0.1), loads.ravel(), strict=True)
     each = [(units[i % 2], *row, belts[i // 2]) for i, row in enumerate(numbers)]
-    expected, events = Rigid(units, force, of_witness(each)).run(*y, 20.0)
+    expected, events = Rigid(units, force, of_witness(each)).run(y[0], y[1], 20.0)
     assert len(events) >= 10
     np.testing.assert_allclose(np.ravel(run.state), expected, atol=1e-11)
 

@@ -3,6 +3,7 @@
 
 import inspect
 from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -217,13 +218,14 @@ def test_steady_sliding_loses_stability_at_the_stiffness_of_rice_and_ruina(law):
 
     rates, jacobian = linearised(CRITICAL)
     np.testing.assert_allclose(rates, 0.0, atol=1e-12)
-    values = np.linalg.eigvals(jacobian)
+    eigenvalues: Any = np.linalg.eigvals
+    values = eigenvalues(jacobian)
     pair = values[np.abs(values.imag) > 0]
     np.testing.assert_allclose(pair.real, 0, atol=1e-9)
     square = (CRITICAL * 1.3 / 0.7) / (0.02 * 1.3 / 0.7 + 10.0 * 0.5 / 1.3)
     np.testing.assert_allclose(np.abs(pair.imag), np.sqrt(square), rtol=1e-9)
-    assert np.max(np.linalg.eigvals(linearised(0.99 * CRITICAL)[1]).real) > 1e-3
-    assert np.max(np.linalg.eigvals(linearised(1.01 * CRITICAL)[1]).real) < -1e-3
+    assert np.max(eigenvalues(linearised(0.99 * CRITICAL)[1]).real) > 1e-3
+    assert np.max(eigenvalues(linearised(1.01 * CRITICAL)[1]).real) < -1e-3
 
 
 # Driven and self-excited oscillators.

@@ -1,6 +1,7 @@
 """Observers against runs whose answer is known, and against each other."""
 
 import dataclasses
+from typing import Any
 
 import diffrax as dfx
 import jax
@@ -88,7 +89,7 @@ def test_integrals_and_turning_points_of_a_step_of_known_motion():
     assert gradient == 0.0
 
 
-def of_one_mass(belt_speed, excited, t1, stop="quiet", **how):
+def of_one_mass(belt_speed, excited, t1, stop: Any = "quiet", **how):
     chain = paper_chain(1, belt_speed)
     observe = Amplitude(20.0, stop, tolerance=1e-4 if stop == "steady" else 1e-6)
     return simulate(chain, equation_8(chain, excited), t1, observe=observe, **how)

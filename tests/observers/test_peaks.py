@@ -29,5 +29,5 @@ def test_many_steps_at_once_are_the_same_steps_one_by_one():
         for ours, theirs in zip(found, one_by_one, strict=True):
             np.testing.assert_array_equal(ours, theirs)
         expected = times[lane, :count, 3][:6]
-        seen = np.asarray(observer.read(tuple(map(jnp.asarray, found))))
+        seen = np.asarray(observer.read((jnp.asarray(found[0]), jnp.asarray(found[1]))))
         np.testing.assert_array_equal(seen[: expected.size, 3], expected)

@@ -48,9 +48,9 @@ def test_observers_start_with_a_run_that_starts_before_time_0():
 
     @jax.jit
     def run(t0: Any) -> list:
-        watch, how = [Samples(0.7, 20), PeakTimes(4), Section(0, 4)], {"solver": EventDriven(3)}
-        start = equation_8(chain, 1)
-        return simulate(chain, start, t0 + 12.3, t0=t0, observe=watch, rtol=1e-9, **how).observed
+        watch, start = [Samples(0.7, 20), PeakTimes(4), Section(0, 4)], equation_8(chain, 1)
+        how = dict[str, Any](solver=EventDriven(3), observe=watch, rtol=1e-9)
+        return simulate(chain, start, t0 + 12.3, t0=t0, **how).observed
 
     for early, late in zip(run(t0), run(0.0), strict=True):
         (times, *states), (expected, *others) = (

@@ -72,7 +72,7 @@ def test_the_time_is_the_share_of_times_at_which_friction_holds_a_mass(case, fol
     watch = [StickTime(window, contact) for window, contact in pairs]
     found = follow(watch, field, waves(6, 1, jnp) if several else waves(2, 3, jnp), TIMES[::1000])
     assert np.all((sticks.mean(axis=0) > 0.05) & (sticks.mean(axis=0) < 0.6))
-    for one, time in zip(watch, found, strict=True):
-        share = sticks[-round(one.window * 10_000) - 1 :].mean(axis=0)
-        wanted = one.window * (share[[one.contact]] if several else share)
+    for (window, _), one, time in zip(pairs, watch, found, strict=True):
+        share = sticks[-round(window * 10_000) - 1 :].mean(axis=0)
+        wanted = window * (share[[one.contact]] if several else share)
         np.testing.assert_allclose(time, wanted, atol=2e-3)

@@ -94,7 +94,7 @@ def test_what_cells_do_not_have_is_refused():
         (FOUR, {"scales": SCALES}, "`scales` is for a"),
     ):
         with pytest.raises(ValueError, match=problem):
-            plot_time_series(TIMES, motion, MODES, **more)
+            cast(Any, plot_time_series)(TIMES, motion, MODES, **more)
     with pytest.raises(ValueError, match="`model` must be a `Chain`, but is a ModeC"):
         animate(TIMES, STATES, cast(Any, MODES))
 

@@ -186,7 +186,8 @@ observe = { quantities = ["energy"], others = [
 
 
 def test_a_scene_has_the_observers_that_it_names(tmp_path):
-    amplitude, *others = build(scene(tmp_path, "dry", OTHERS))["ladder"].observe
+    observers: Any = build(scene(tmp_path, "dry", OTHERS))["ladder"].observe
+    amplitude, *others = observers
     assert [type(one).__name__ for one in others] == [
         "StickTime", "PeakTimes", "Section", "Samples", "FrontTrack", "MostSticking",
         "EnergyBalance", "Divergence",

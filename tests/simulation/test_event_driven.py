@@ -84,7 +84,8 @@ def test_six_masses_follow_the_witness_to_the_tolerance():
         against_witness(paper_chain(6, belt_speed), start, 20.0)
     chain = paper_chain(6, 1.3)
     start = equation_8(chain, 3)
-    exact = integrate(numbers_of(chain), *map(np.asarray, start), 30.0)
+    x, v = map(np.asarray, start)
+    exact = integrate(numbers_of(chain), x, v, 30.0)
     for rtol in (1e-5, 1e-8, 1e-11):
         state = run(chain, start, 30.0, rtol).state
         np.testing.assert_allclose(state, (exact.x, exact.v), rtol=0, atol=100 * rtol)

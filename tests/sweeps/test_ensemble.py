@@ -233,6 +233,7 @@ def test_a_number_that_an_observer_finds_elsewhere_counts(monkeypatch):
 
 
 def test_what_decides_nothing_may_change(usual):
+    change: Any
     for change in (
         {"initial": lambda chain, excited: equation_8(chain, excited)},  # under another name
         {"model": CHAIN.with_(belt_speed=3.0)},  # which is swept
