@@ -201,7 +201,7 @@ class Session:
         >>> import jax
         >>> jax.config.update("jax_enable_x64", True)
         >>> from jaxchain import equation_8, paper_chain
-        >>> from jaxchain.explorer import Session
+        >>> from jaxchain.explorer.session import Session
         >>> chain = paper_chain(3)
         >>> session = Session(chain, equation_8(chain, 1))
         >>> for _ in range(40):
