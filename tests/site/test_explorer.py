@@ -20,6 +20,8 @@ MOVING += '.some(one => one.type == "Figure" && one.tags[0] > {frame}))()'
 def served():
     """The address of an explorer that the command has started; it ends without a word."""
     command = [sys.executable, "-m", "jaxchain", "explore", "--no-browser"]
+    # In the background, under `nohup`, a process ignores Ctrl-C, and so do those that it starts.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
