@@ -35,8 +35,8 @@ def test_one_mass_agrees_with_scipy(branch):
     cycle = find_limit_cycle(paper_chain(1, belt_speed=1.5, width=0.05), branch=branch)
     assert cycle.stable is (branch == "stable")
     assert float(cycle.residual) < 1e-9
-    (multiplier,) = cycle.multipliers
-    check_cycle(1.5, *cycle.state, cycle.period, cycle.amplitude, multiplier)
+    (x, v), (multiplier,) = cycle.state, cycle.multipliers
+    check_cycle(1.5, x, v, cycle.period, cycle.amplitude, multiplier)
     assert float(cycle.trivial_defect) < 1e-7
     assert float(cycle.liouville_defect) < 1e-7
     assert float(cycle.energy) == pytest.approx(float(cycle.amplitude[0]) ** 2 / 2, rel=1e-7)
