@@ -1,11 +1,13 @@
 """Made-up results that look like those of `sweep`, for everything that comes after it."""
 
+import inspect
 import json
 from types import SimpleNamespace
 
 import numpy as np
 import xarray as xr
 
+import jaxchain
 from jaxchain.boundaries.special_curves import CurvePoint, SpecialCurve
 from jaxchain.continuation.branch import Branch, SpecialPoint
 from jaxchain.cycles.branches import CycleBranch, CyclePoint
@@ -19,18 +21,10 @@ from jaxchain.solvers.rosenbrock import Rodas5P
 
 KINDS = {kind.name: kind for kind in (Fold(), Hopf(), Torus(), PeriodDoubling())}
 PAPER = {
-    "ends": "cyclic",
-    "belt_speed": "swept",
-    "damping_ratio": 0.05,
-    "coupling": 0.01,
-    "stiffness": 1.0,
-    "normal_load": None,
-    "friction_law": "ExponentialDecay",
-    "mu_static": 1.0,
-    "mu_dynamic": 0.5,
-    "v_ref": 0.5,
-    "width": 1e-3,
-}
+    "ends": "cyclic", "belt_speed": "swept", "damping_ratio": 0.05, "coupling": 0.01,
+    "stiffness": 1.0, "normal_load": None, "friction_law": "ExponentialDecay", "mu_static": 1.0,
+    "mu_dynamic": 0.5, "v_ref": 0.5, "width": 1e-3,
+}  # fmt: skip
 
 
 def stored(path):
@@ -65,20 +59,17 @@ def results(axes, vibrating, n, **parameters):
         },
         coords={**axes, "oscillator": np.arange(1, n + 1)},
         attrs={
-            "parameters": json.dumps(PAPER | {"n": n} | parameters),
-            "solver": "Rodas4()",
-            "rtol": 1e-6,
-            "t1": 100.0,
-            "devices": "cpu:0",
-            "wall_time_s": 1.0,
+            "parameters": json.dumps(PAPER | {"n": n} | parameters), "solver": "Rodas4()",
+            "rtol": 1e-6, "t1": 100.0, "devices": "cpu:0", "wall_time_s": 1.0,
         },
-    )
+    )  # fmt: skip
 
 
 def recorded_sweep(calls, fails=False):
     """Stands for `sweep`: notes its arguments; the last run of three masses may fail."""
 
     def sweep(chain, initial, t1, *, over, **options):
+        inspect.signature(jaxchain.sweep).bind(chain, initial, t1, over=over, **options)
         calls.append({"chain": chain, "initial": initial, "t1": t1, "over": over, **options})
         axes = {name: np.asarray(values) for name, values in over.items()}
         vibrating = np.ones(tuple(map(len, axes.values())), int)
@@ -125,21 +116,8 @@ def cycle_branch(n=2, special=("fold", "hopf")):
         index, p, top = at[kind]
         raw = SpecialPoint(kind, index, 0.0, u[0], p, np.ones(2 * n + 1), 0.0, 0.0, True, 1e-9)
         state, own = np.full(n, top), top * 0.1 ** np.arange(n)
-        points.append(
-            CyclePoint(
-                KINDS[kind],
-                p,
-                (state, -state),
-                6.3,
-                own,
-                multipliers[0],
-                True,
-                1e-9,
-                raw,
-                shooting,
-                0.5,
-            )
-        )
+        how = multipliers[0], True, 1e-9, raw, shooting, 0.5
+        points.append(CyclePoint(KINDS[kind], p, (state, -state), 6.3, own, *how))
     tangents, none = np.ones((8, 2 * n + 1)), np.zeros(8)
     return CycleBranch(
         "belt_speed", speed, (amplitude, -amplitude), np.linspace(6.31, 6.28, 8), amplitude,

@@ -70,17 +70,6 @@ def test_bash_completes_subcommands_options_scenes_and_files(tmp_path, capsys):
     assert completed(script, "jaxchain", "resume", "") == {"results"}
 
 
-def test_completion_names_the_extra_or_the_shells_that_it_knows(monkeypatch, capsys):
-    with monkeypatch.context() as patched:
-        patched.setattr("importlib.util.find_spec", lambda package: None)
-        with pytest.raises(SystemExit):
-            main(["--completion", "bash"])
-    assert "needs shtab: pip install 'jaxchain[completion]'" in capsys.readouterr().err
-    with pytest.raises(SystemExit):
-        main(["--completion", "csh"])
-    assert 'knows bash, zsh, tcsh, fish, powershell, not "csh"' in capsys.readouterr().err
-
-
 # A process that gets the signal of Ctrl-C in the import of a module of this name.
 INTERRUPTED = """
 import os, signal, sys

@@ -21,19 +21,15 @@ MORE = 1.25 if jax.__version_info__ >= (0, 11) else 1.0
 WHOLE = 'xla_cpu_small_call="true"'
 
 
-def _one(n, width, observe=None):
-    chain = paper_chain(n, 1.5, width)
+def ensemble(width):
+    """Four runs with what an observer sees of them."""
+    chain = paper_chain(20, 1.5, width)
 
     def run(x, v):
-        done = simulate(chain, (x, v), 20.0, observe=observe)
+        done = simulate(chain, (x, v), 20.0, observe=Amplitude(10.0))
         return done.state, done.observed
 
-    return run, equation_8(chain, 1)
-
-
-def _many(n, width, observe=None):
-    run, (x, v) = _one(n, width, observe)
-    return jax.vmap(run), (jnp.tile(x, (4, 1)), jnp.tile(v, (4, 1)))
+    return jax.vmap(run), [jnp.tile(part, (4, 1)) for part in equation_8(chain, 1)]
 
 
 def loops(text):
@@ -57,24 +53,9 @@ def loops(text):
     return found
 
 
-# What is quick has all kinds of loops: one run, an ensemble, an observer; smoothed and dry.
-LONG = pytest.mark.long
-
-
-@pytest.mark.parametrize(
-    ("make", "n", "width", "observe", "most"),
-    [
-        pytest.param(_one, 1, 1e-3, None, 35, id="smoothed, one mass", marks=LONG),
-        pytest.param(_one, 20, 1e-3, None, 50, id="smoothed, one run", marks=LONG),
-        pytest.param(_one, 20, None, None, 90, id="dry, one run", marks=LONG),
-        pytest.param(_many, 20, 1e-3, None, 55, id="smoothed, an ensemble", marks=LONG),
-        pytest.param(_many, 20, None, None, 90, id="dry, an ensemble", marks=LONG),
-        pytest.param(_many, 20, 1e-3, Amplitude(10.0), 65, id="smoothed, amplitudes"),
-        pytest.param(_many, 20, None, Amplitude(10.0), 115, id="dry, amplitudes"),
-    ],
-)
-def test_every_loop_is_compiled_whole(make, n, width, observe, most):
-    function, arguments = make(n, width, observe)
+@pytest.mark.parametrize(("width", "most"), [(1e-3, 65), (None, 115)])
+def test_every_loop_is_compiled_whole(width, most):
+    function, arguments = ensemble(width)
     text = str(jax.jit(function).lower(*arguments).compile().as_text())
     lines = [line for own in loops(text).values() for line in own]
     for word in ("custom-call(", "scatter(", " sort("):

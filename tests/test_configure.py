@@ -109,20 +109,15 @@ def untouched(monkeypatch):
 @pytest.mark.parametrize(
     ("own", "flags"),
     [
-        (
-            "--xla_cpu_enable_fast_math=false --xla_backend_extra_options=xla_cpu_use_mlir=1",
-            f"{{}},{OPTIONS}{WIDTH}",
-        ),
-        (
-            "--xla_cpu_prefer_vector_width=256",
-            f"{{}} --xla_backend_extra_options={OPTIONS}",
-        ),
+        ("--xla_backend_extra_options=xla_cpu_use_mlir=1", f"{{}},{OPTIONS}{WIDTH}"),
+        ("--xla_cpu_prefer_vector_width=256", f"{{}} --xla_backend_extra_options={OPTIONS}"),
         (f"--xla_backend_extra_options={THRESHOLD}=7", "{}"),
     ],
 )
 def test_options_of_the_user_stay(own, flags, untouched, monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", own)
-    jaxchain.configure(devices=0)
+    monkeypatch.setenv("JAX_NUM_CPU_DEVICES", "3")
+    jaxchain.configure()
     assert os.environ["XLA_FLAGS"] == flags.format(own)
     assert untouched == {"jax_enable_x64": True}
 
@@ -138,13 +133,3 @@ def test_programs_are_kept_where_the_user_wants_them(untouched, monkeypatch, tmp
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "/nowhere")
     jaxchain.configure(cache=True)
     assert "jax_compilation_cache_dir" not in untouched
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("XLA_FLAGS", "--xla_force_host_platform_device_count=4"), ("JAX_NUM_CPU_DEVICES", "3")],
-)
-def test_the_number_of_devices_of_the_user_stays(name, value, untouched, monkeypatch):
-    monkeypatch.setenv(name, value)
-    jaxchain.configure(whole_loops=False)
-    assert "jax_num_cpu_devices" not in untouched

@@ -37,13 +37,11 @@ TABLES = tables()
 DRY = paper_chain(3, width=None)
 SMOOTHED = DRY.with_(width=1e-2)
 # Those of dry friction together, and one that needs a width.
-OBSERVERS = {
-    "dry": [
-        Amplitude(), PeakTimes(5), Section(0, 3), Samples(1.0, 5, (0, 1)), StickTime(),
-        MostSticking(), EnergyBalance(), FrontTrack(3),
-    ],
-    "smoothed": [Divergence()],
-}  # fmt: skip
+OBSERVERS = [
+    (DRY, [Amplitude(), PeakTimes(5), Section(0, 3), Samples(1.0, 5, (0, 1)), StickTime(),
+           MostSticking(), EnergyBalance(), FrontTrack(3)]),
+    (SMOOTHED, [Divergence()]),
+]  # fmt: skip
 
 
 def laid_out(chain=DRY, observe=None, **more):
@@ -61,25 +59,20 @@ def on_page(chapter, *sections):
     return found
 
 
-@pytest.mark.parametrize(("kind", "chain"), [("dry", DRY), ("smoothed", SMOOTHED)])
-def test_a_sweep(kind, chain):
-    own = [f"With `{type(observer).__name__}`" for observer in OBSERVERS[kind]]
-    said = on_page("Sweeps", "In every sweep", *own)
-    assert not differences(said, rows(laid_out(chain, OBSERVERS[kind]), SWEPT))
-
-
-def test_every_observer_of_sweeps_has_its_table():
-    names = {f"With `{type(one).__name__}`" for own in OBSERVERS.values() for one in own}
-    others = {"In every sweep", "With `segments`", "With `accuracy`"}
-    assert {section for chapter, section in TABLES if chapter == "Sweeps"} == names | others
+def test_a_sweep_with_each_observer():
+    sections = {"In every sweep", "With `segments`", "With `accuracy`"}
+    for chain, observers in OBSERVERS:
+        own = [f"With `{type(observer).__name__}`" for observer in observers]
+        sections.update(own)
+        said = on_page("Sweeps", "In every sweep", *own)
+        assert not differences(said, rows(laid_out(chain, observers), SWEPT))
+    assert {section for chapter, section in TABLES if chapter == "Sweeps"} == sections
 
 
 def test_a_sweep_in_segments_and_one_of_an_accuracy():
     cut = on_page("Sweeps", "In every sweep", "With `Amplitude`", "With `segments`")
     for name in ("amplitude", "energy", "active_count"):
-        cut[name] = cut[name]._replace(
-            dims=", ".join(["…", "segment", *cut[name].dims.split(", ")[1:]])
-        )
+        cut[name] = cut[name]._replace(dims=cut[name].dims.replace("…", "…, segment"))
     assert not differences(cut, rows(laid_out(segments=2), SWEPT))
     fitted = on_page("Sweeps", "In every sweep", "With `Amplitude`", "With `accuracy`")
     assert not differences(fitted, rows(laid_out(SMOOTHED, accuracy=1e-2), SWEPT))
@@ -92,15 +85,12 @@ def attributes(chapter, section=""):
     return set(re.findall(r"`(\w+)`", re.split(r"^##", text, flags=re.MULTILINE)[0]))
 
 
-def test_attributes_of_a_sweep():
+def test_attributes_of_a_sweep_and_of_a_folder():
     said = attributes("Sweeps", "Attributes of a sweep")
     own = set(laid_out(SMOOTHED, accuracy=1e-2).attrs)
     assert own <= said
     more = {"wall_time_s", "devices", "device_kind", "vary", "lanes_per_device_at_end"}
     assert said - own == more
-
-
-def test_attributes_of_a_folder():
     assert set(origin_attributes()) <= attributes("Folders of results")
 
 

@@ -6,12 +6,6 @@ import pytest
 from jaxchain.datasets import Variable, along, dataset, oscillators
 
 
-def test_labels_that_are_none_are_left_out():
-    data = dataset({"kind": Variable(["fold"], ("point",), None), "one": Variable(1.0)})
-    assert data.kind.attrs == {}
-    assert data.one.attrs == {"units": "1"}
-
-
 def test_variables_get_dimensions_and_a_prefix():
     table = {"amplitude": Variable(np.ones((4, 2)), ("oscillator",), "x0", "amplitude")}
     special = along(table, "special", prefix="special_")

@@ -87,11 +87,3 @@ def test_without_them_runs_and_forward_derivatives_are_the_same():
     here: dict = {}
     exec(RUNS, here)
     np.testing.assert_allclose(found, here["found"], rtol=1e-9, atol=1e-11)
-
-
-def test_what_cannot_be_differentiated_is_refused_without_equinox_too():
-    guarded = lambda x: _internals._guard(x, msg="take the other function")
-    assert guarded(2.0) == 2.0
-    assert jax.jit(jax.grad(lambda x, y: x * guarded(y)))(3.0, 2.0) == 2.0
-    with pytest.raises(RuntimeError, match="take the other function"):
-        jax.jvp(guarded, (1.0,), (1.0,))

@@ -8,11 +8,6 @@ from jaxchain import _progress
 from jaxchain._progress import progress_bar
 
 
-class Terminal(io.StringIO):
-    def isatty(self):
-        return True
-
-
 @pytest.fixture
 def clock(monkeypatch):
     """The clock of bars, to be set by hand."""
@@ -42,27 +37,16 @@ def test_a_log_gets_a_line_a_minute_and_one_at_the_end(monkeypatch, clock):
     assert "<" in lines[0]
 
 
-def test_a_terminal_gets_a_bar_in_place(monkeypatch):
-    terminal = Terminal()
-    monkeypatch.setattr("sys.stderr", terminal)
-    for _ in progress_bar(range(3), show=True, desc="some", unit="case"):
-        pass
-    assert terminal.getvalue().count("\r") >= 2
-    assert terminal.getvalue().count("\n") == 1
-    assert "|" in terminal.getvalue()
+def bars(monkeypatch, stream, show=True):
+    """How often a line is drawn anew."""
+    monkeypatch.setattr("sys.stderr", stream)
+    assert list(progress_bar(range(3), show=show, desc="some", unit="case")) == [0, 1, 2]
+    return stream.getvalue().count("\r") if stream else 0
 
 
-def test_a_notebook_gets_a_bar_although_it_is_no_terminal(monkeypatch):
-    screen = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})()
-    monkeypatch.setattr("sys.stderr", screen)
-    for _ in progress_bar(range(3), show=True, desc="some", unit="case"):
-        pass
-    assert screen.getvalue().count("\r") >= 2
-
-
-@pytest.mark.parametrize("stream", [None, "log"])
-def test_nothing_is_shown_without_a_terminal(monkeypatch, stream):
-    log = io.StringIO()
-    monkeypatch.setattr("sys.stderr", None if stream is None else log)
-    assert list(progress_bar(range(3), show=stream is None, desc="a", unit="b")) == [0, 1, 2]
-    assert log.getvalue() == ""
+def test_a_terminal_and_a_notebook_get_a_bar_in_place_if_they_want_one(monkeypatch):
+    terminal = type("Terminal", (io.StringIO,), {"isatty": lambda self: True})
+    notebook = type("OutStream", (io.StringIO,), {"__module__": "ipykernel.iostream"})
+    assert bars(monkeypatch, terminal()) >= 2
+    assert bars(monkeypatch, notebook()) >= 2
+    assert bars(monkeypatch, terminal(), show=False) == bars(monkeypatch, None) == 0

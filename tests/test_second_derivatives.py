@@ -44,7 +44,7 @@ def on_the_host(function):
     ],
 )
 def test_what_runs_on_the_host_says_so(function, instead):
-    for transform in (jax.grad, jax.jacfwd, jax.jit, jax.hessian):
+    for transform in (jax.grad, jax.jit):
         with pytest.raises(ValueError, match=f"is traced.*{instead}"):
             transform(on_the_host(function))(XI)
 
@@ -54,15 +54,11 @@ def test_what_runs_on_the_host_says_so(function, instead):
     ("function", "transform", "error", "instead"),
     [
         (last(SMOOTHED), lambda f: jax.grad(jax.grad(f)), RuntimeError, "jacfwd(jax.grad(f))"),
-        (
-            last(SMOOTHED, observe=Trajectory(jnp.ones(1))),
-            jax.hessian,
-            NotImplementedError,
-            "jacfwd(jax.jacfwd(f))",
-        ),
+        (last(SMOOTHED, observe=Trajectory(jnp.ones(1))), jax.hessian, NotImplementedError,
+         "jacfwd(jax.jacfwd(f))"),
         (last(SMOOTHED, adjoint=dfx.ForwardMode()), jax.grad, RuntimeError, "leave out `adjoint`"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_go_back_says_what_to_take(function, transform, error, instead):
     with pytest.raises(error) as raised:
         jax.eval_shape(transform(function), XI)  # which compiles nothing
@@ -78,17 +74,15 @@ def test_exponents_and_cycles_that_cannot_go_back_say_what_to_take():
     def period(xi):
         return find_limit_cycle(SMOOTHED.with_(damping_ratio=xi)).period
 
-    assert np.isfinite(jax.jacfwd(exponent)(XI))
     for function in (jax.grad(exponent), jax.grad(jax.grad(period))):
         with pytest.raises(RuntimeError, match="forward"):
-            function(XI)
+            jax.eval_shape(function, XI)  # which compiles nothing
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("chain", [SMOOTHED, DRY])
 def test_second_derivatives_of_runs_agree_with_differences(chain):
-    end = last(chain, rtol=1e-10, adjoint=dfx.RecursiveCheckpointAdjoint())
-    slope, step = jax.jit(jax.jacfwd(last(chain, rtol=1e-10))), 1e-5
-    np.testing.assert_allclose(jax.grad(end)(XI), slope(XI), rtol=1e-9)
+    end, step = last(chain, rtol=1e-10), 1e-5
+    slope = jax.jit(jax.jacfwd(end))
     difference = (slope(XI + step) - slope(XI - step)) / (2 * step)
-    np.testing.assert_allclose(jax.hessian(last(chain, rtol=1e-10))(XI), difference, rtol=1e-4)
+    np.testing.assert_allclose(jax.hessian(end)(XI), difference, rtol=1e-4)

@@ -28,8 +28,19 @@ PRIORS = {
     "faq": 1.25, "start": 1.1, "guides": 1.1, "explanation/methods": 0.6, "notebooks": 0.7,
     "examples": 0.8, "reference/datasets": 0.6, "reference": 0.8, "": 1.0,
 }  # fmt: skip
+# What each word of an index entry adds if the search has all words of the entry.
+PHRASE = 60.0
+# Words of questions, which say nothing of what is asked for.
+QUESTION = frozenset(
+    re.findall(
+        "[a-z]+",
+        "all can could did do does each from get give had has have how i make me much must my "
+        "need one our see should so take use used want we what when where which who why would "
+        "you your",
+    )
+)
 _LANGUAGE = SearchEnglish({})
-STOPWORDS = _LANGUAGE.stopwords - {"own"}
+STOPWORDS = (_LANGUAGE.stopwords | QUESTION) - {"own"}
 
 
 def stems(text):
@@ -63,7 +74,7 @@ def _own(node):
 
 
 def _counts(documents):
-    """Of each section: page, id, title, module, and {stem: weighted count}."""
+    """Of each section: page, id, title and module; words of its text, title, entries, page."""
     found = []
     for page, doctree in documents:
         heading = next(iter(doctree.findall(nodes.title)), None)
@@ -76,23 +87,27 @@ def _counts(documents):
             body = Counter(stems(" ".join(text)))
             found.append(
                 ([page, "" if first else anchor, title, module], body, Counter(stems(words)),
-                 Counter(stems(" ".join(entries))), Counter(whole))
+                 [stems(entry) for entry in entries], Counter(whole))
             )  # fmt: skip
     return found
 
 
 def index(documents):
-    """Sections, and of each stem the numbers of those that have it, each with its worth there."""
+    """Sections; of each stem the numbers of those that have it, each with its worth there; the
+    stems of entries of several words, each after the number of its section.
+    """
     found = _counts(documents)
     titles = Counter(place[2] for place, *_ in found)
     usual = sum(sum(body.values()) for _, body, *_ in found) / len(found)
-    worth = defaultdict(dict)
-    for k, (_, body, title, entries, whole) in enumerate(found):
+    worth, phrases = defaultdict(dict), []
+    for k, (_, body, title, named, whole) in enumerate(found):
+        phrases += [[k, *phrase] for phrase in named if len(phrase) > 1]
+        entries = {stem for phrase in named for stem in phrase}
         long = 1.0 - LENGTH + LENGTH * sum(body.values()) / usual
         for stem in {*body, *title, *entries, *whole}:
             worth[stem][k] = (
                 min(body[stem], 8) / long + TITLE * (title[stem] > 0)
-                + ENTRY * (entries[stem] > 0) + PAGE * (whole[stem] > 0)
+                + ENTRY * (stem in entries) + PAGE * (whole[stem] > 0)
             )  # fmt: skip
     near = defaultdict(set)
     for line in MEANINGS.read_text(encoding="utf-8").splitlines():
@@ -116,7 +131,11 @@ def index(documents):
             part for k, count in sorted(counts.items())
             for part in (k, round(100 * rare * count / (SATURATION + count) * priors[k]))
         ]  # fmt: skip
-    return {"places": [place for place, *_ in found], "terms": terms}
+    places = [place for place, *_ in found]
+    return {
+        "places": places, "terms": terms, "phrases": phrases, "phrase": PHRASE,
+        "ignored": sorted(STOPWORDS),
+    }  # fmt: skip
 
 
 def _prior(page):

@@ -2,7 +2,7 @@
 const split = (text) => text.toLowerCase().split(/[^a-z0-9]+/).filter((word) => word);
 const stems = (text) => {
   const stemmer = new Stemmer();
-  const kept = split(text).filter((word) => word === "own" || !stopwords.has(word));
+  const kept = split(text).filter((word) => !sections.ignored.includes(word));
   return [...new Set(kept.map((word) => stemmer.stemWord(word)))];
 };
 // [section, worth, section, worth, ...]; of a word that is being typed, those that begin like it.
@@ -34,6 +34,11 @@ Search._performSearch = (query, terms, excluded) => {
       best.set(list[k], Math.max(list[k + 1], best.get(list[k]) ?? 0));
     }
     for (const [k, worth] of best) scores.set(k, worth + (scores.get(k) ?? 0));
+  }
+  for (const [k, ...phrase] of sections.phrases) {
+    if (phrase.every((stem) => asked.includes(stem))) {
+      scores.set(k, sections.phrase * phrase.length + (scores.get(k) ?? 0));
+    }
   }
   for (const stem of excluded) {
     const list = found(stem);

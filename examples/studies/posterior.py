@@ -72,7 +72,7 @@ def unit(u):
 
 
 def best_fit(values):
-    """The best fit in the coordinates of the sampler, and its covariance."""
+    """The best fit in the sampler's coordinates, its covariance, and the interval of theta."""
     middle = jnp.asarray(0.5 * (LOW + HIGH))
     fit = identify(with_numbers(middle), change, middle[:2], record(values))
     share = jnp.clip((jnp.append(fit.theta, fit.phase % 1.0) - LOW) / (HIGH - LOW), 0.02, 0.98)
@@ -82,17 +82,17 @@ def best_fit(values):
 
     u = jax.scipy.special.logit(share)
     slopes, prior = jax.jacfwd(scaled)(u), jnp.diag(2.0 * share * (1.0 - share))
-    return u, jnp.linalg.inv(slopes.T @ slopes + prior)
+    return u, jnp.linalg.inv(slopes.T @ slopes + prior), jnp.stack(fit.interval())
 
 
 @functools.cache
 def sampler(warmup, samples, depth):
-    """A function of (key, values): samples of (3,), and which diverged."""
+    """A function of (key, values): samples of (3,), which diverged, interval of the fit."""
 
     @jax.jit
     @jax.vmap
     def run(key, values):
-        u, covariance = best_fit(values)
+        u, covariance, interval = best_fit(values)
         away = 1.5 * jnp.linalg.cholesky(covariance) @ jax.random.normal(key, u.shape)
         kernel = NUTS(
             model, dense_mass=True, inverse_mass_matrix=covariance, adapt_mass_matrix=False,
@@ -101,13 +101,13 @@ def sampler(warmup, samples, depth):
         )  # fmt: skip
         chains = MCMC(kernel, num_warmup=warmup, num_samples=samples, progress_bar=False)
         chains.run(jax.random.split(key)[0], values)
-        return chains.get_samples()["theta"], chains.get_extra_fields()["diverging"]
+        return chains.get_samples()["theta"], chains.get_extra_fields()["diverging"], interval
 
     return run
 
 
 def study(records, **numbers):
-    """(truths, values, samples, which diverged, seconds) of made-up records."""
+    """(truths, values, samples, which diverged, intervals, seconds) of made-up records."""
     keys = jax.random.split(jax.random.key(1), 3)
     truths = jax.random.uniform(keys[0], (records, 3), minval=LOW, maxval=HIGH)
     exact = jax.vmap(lambda t: predict(with_numbers(t), record(0.0 * TIMES), phase=t[2]))(truths)
@@ -122,7 +122,7 @@ def long_chains(values, records, **numbers):
     """Prints what several chains for one record are worth."""
     keys, start = jax.random.split(jax.random.key(2), records), time.perf_counter()
     found = sampler(**numbers)(keys, jnp.tile(jnp.asarray(values), (records, 1)))
-    samples, diverged = map(np.asarray, found)
+    samples, diverged, _ = map(np.asarray, found)
     seconds = time.perf_counter() - start
     print(f"{records} chains in {seconds:.0f} s, {diverged.sum()} of {diverged.size} diverged")
     worth, ratios = effective_sample_size(samples), split_gelman_rubin(samples)
@@ -133,7 +133,7 @@ def long_chains(values, records, **numbers):
 def main():
     quick, folder = options(__file__, __doc__)
     s = QUICK if quick else FULL
-    truths, values, samples, diverged, seconds = kept(
+    truths, values, samples, diverged, intervals, seconds = kept(
         folder / "samples.pickle", s, lambda: study(**s)
     )
     print(f"{len(truths)} records in {seconds:.0f} s, {diverged.mean():.2%} of samples diverged")
@@ -141,9 +141,7 @@ def main():
     few = samples[:, ::THIN]
     ranks = (few < truths[:, None]).sum(axis=1)
     edges = np.linspace(-0.5, few.shape[1] + 0.5, BINS + 1)
-    guess = jnp.asarray(truths[0, :2])
-    found = identify(with_numbers(guess), change, guess, record(values[0]))
-    low, high = found.interval()
+    low, high = intervals[0]
     page, panels = plt.subplots(2, 3, figsize=(7.0, 4.0))
     expected = len(ranks) / BINS
     usual = expected + 2 * np.sqrt(expected) * np.array([-1, 1])

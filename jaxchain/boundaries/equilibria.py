@@ -154,7 +154,7 @@ class Rates(eqx.Module):
     field: AbstractModel
     m: int = eqx.field(static=True)
     parameter: str | None = eqx.field(static=True, default=None)
-    direction: Float[Array, ""] | None = None
+    direction: Float[Array, " contacts"] | None = None
 
     @classmethod
     def of(cls, field: Any, m: int, parameter: str | None = None) -> Rates:

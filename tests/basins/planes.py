@@ -42,16 +42,6 @@ class Plane:
         at = np.argmax(times > 1e-3)
         return run.y_events[0][at][0], times[at]
 
-    def left_of(self, x):
-        """Where the motion from (x, 0), right of rest, turns on the left."""
-
-        def turns(t, y):
-            return y[1]
-
-        turns.__dict__.update(terminal=1, direction=1)
-        run = solve_ivp(self.field, (0.0, 100.0), [x, 0.0], events=turns, **EXACT)
-        return run.y_events[0][0][0]
-
     def cycle(self, inner, outer):
         """The unstable cycle: its rightmost x, between rest + `inner` and rest + `outer`."""
         gap = lambda r: self.back(self.rest + r)[0] - self.rest - r

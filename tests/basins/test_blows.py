@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,10 +10,9 @@ import optax
 import pytest
 
 from jaxchain.basins import blows
-from jaxchain.basins.blows import Blow, gentlest_blow
-from jaxchain.basins.kicks import DecayOrVibrate, Threshold, Trials, quiet_radius
-from jaxchain.model.chain import Chain, paper_chain, steady_sliding
-from jaxchain.observers.samples import Trajectory
+from jaxchain.basins.blows import gentlest_blow
+from jaxchain.basins.kicks import DecayOrVibrate, Threshold, Trials
+from jaxchain.model.chain import paper_chain
 from jaxchain.result import SearchResult, ended_well, name_of
 from jaxchain.simulation.run import simulate
 
@@ -22,40 +20,24 @@ from .planes import Plane
 
 ONE, TWO = paper_chain(1, width=None), paper_chain(2, width=None)
 TRIALS = Trials.of(ONE)
-FREE = Chain(
-    3, ONE.law, belt_speed=1.5, coupling=np.array([0.03, 0.02]),
-    stiffness=np.array([1.0, 1.05, 0.95]), ends="free",
-)  # fmt: skip
 # About how far to the right of rest the unstable cycle goes.
 SPEEDS = {1.3: 0.79, 1.83: 1.84}
 
 
-def kicks_of_the_unstable_cycle(speed):
-    """(up, down) by SciPy."""
-    plane = Plane.paper(speed)
-    about = SPEEDS[speed]
-    return plane.at_rest(plane.cycle(0.9 * about, 1.1 * about))
-
-
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_of_one_mass_it_is_the_distance_to_the_unstable_cycle(speed):
-    up, down = kicks_of_the_unstable_cycle(speed)
+    plane, about = Plane.paper(speed), SPEEDS[speed]
+    up, down = plane.at_rest(plane.cycle(0.9 * about, 1.1 * about))  # by SciPy
     chain = ONE.with_(belt_speed=speed)
     found = gentlest_blow(chain)
     assert found.successful
-    assert float(found.size) == pytest.approx(min(up, down), rel=1e-9)
     np.testing.assert_allclose(found.kick, [up], rtol=1e-9)  # with the belt it takes less
-    np.testing.assert_allclose(found.sizes, [up, down], rtol=1e-9)
-    assert float(found.share) == 1.0
-    assert found.vibrating.tolist() == [True]
-    assert float(found.dies_at) == pytest.approx(0.99 * up)
-    assert float(found.vibrates_at) == pytest.approx(1.01 * up)
+    np.testing.assert_allclose([*found.sizes, found.size], [up, down, up], rtol=1e-9)
+    assert (float(found.share), found.vibrating.tolist()) == (1.0, [True])
     # The general search, which knows of runs alone, finds the same.
     for sign, size in ((1.0, up), (-1.0, down)):
         searched = gentlest_blow(chain, direction=[sign])
-        assert searched.successful
-        assert float(searched.size) == pytest.approx(size, rel=1e-7)
-        assert np.sign(searched.kick[0]) == sign
+        np.testing.assert_allclose([*searched.kick, searched.size], [sign * size, size], rtol=1e-7)
 
 
 def test_the_mirror_image_is_hit_the_other_way():
@@ -65,29 +47,22 @@ def test_the_mirror_image_is_hit_the_other_way():
         (gentlest_blow(ONE, direction=[1.0]), gentlest_blow(back, direction=[-1.0])),
     )
     for found, mirrored in pairs:
-        assert mirrored.successful
-        assert float(mirrored.size) == pytest.approx(float(found.size), rel=1e-9)
         np.testing.assert_allclose(mirrored.kick, -found.kick, rtol=1e-9)
 
 
 def test_it_says_why_there_is_none():
-    assert isinstance(gentlest_blow(ONE), Blow)
     assert "size: 1.23985" in repr(gentlest_blow(ONE))
     below = gentlest_blow(ONE.with_(belt_speed=1.1))
     assert below.result == SearchResult.sliding_unstable
-    assert float(below.size) == 0.0
-    assert below.kick.tolist() == [0.0]
+    assert [float(below.size), *below.kick] == [0.0, 0.0]
     above = gentlest_blow(ONE.with_(belt_speed=1.85))
     assert above.result == SearchResult.no_vibration
-    assert np.isinf(above.size)
-    assert np.isnan(above.kick).all()
+    np.testing.assert_array_equal([above.size, *above.kick], [np.inf, np.nan])
     assert "fold_belt_speed" in above.message
     # So near to the Hopf speed no run is long enough.
-    hopf = 0.5 * np.log(10.0)
-    near = gentlest_blow(ONE.with_(belt_speed=hopf + 1e-7))
+    near = gentlest_blow(ONE.with_(belt_speed=0.5 * np.log(10.0) + 1e-7))
     assert near.result == SearchResult.not_certified
-    assert np.isnan(near.size)
-    assert np.isnan(near.kick).all()
+    assert np.isnan([near.size, *near.kick]).all()
 
 
 # Three masses whose edge of vibration is the ellipsoid z . Q z = 1.
@@ -117,7 +92,6 @@ def test_of_an_ellipsoid_it_is_the_shortest_axis(monkeypatch):
     assert float(end.size) == pytest.approx(2.0**-0.5, rel=1e-9)
     assert abs(end.direction @ AXES[:, 0]) == pytest.approx(1.0, abs=1e-9)
     assert float(end.angle) <= 1e-5
-    assert np.all(np.diff(sizes) >= 0)
     np.testing.assert_allclose(sizes, 2.0**-0.5, rtol=1e-4)
 
 
@@ -187,6 +161,9 @@ def test_one_program_serves_all_belt_speeds(compiled):
 def test_its_derivative_is_that_of_differences_in_every_number():
     """That of the general search, by the gradient of a run, against the exact sizes."""
     numbers = {k: v for k, v in ONE.parameters().items() if v is not None}
+    # What is not found has none, and spoils no other.
+    slope_at = jax.vmap(jax.grad(lambda speed: gentlest_blow(ONE.with_(belt_speed=speed)).size))
+    np.testing.assert_allclose(slope_at(jnp.array([1.1, 1.5, 1.9])), [0, 1.94019, 0], atol=1e-5)
 
     def searched(own):
         return gentlest_blow(ONE.with_(**own), direction=[1.0]).size
@@ -199,43 +176,6 @@ def test_its_derivative_is_that_of_differences_in_every_number():
         ]
         difference = (near[1] - near[0]) / 2e-4
         assert float(slope) == pytest.approx(difference, rel=2e-5), name
-
-
-@pytest.mark.long
-def test_what_is_not_found_has_no_derivative_and_spoils_no_other():
-    def size(speed):
-        return gentlest_blow(ONE.with_(belt_speed=speed)).size
-
-    speeds = jnp.array([1.1, 1.5, 1.9])
-    slopes = jax.vmap(jax.grad(size))(speeds)
-    np.testing.assert_allclose(slopes, [0.0, 1.94019, 0.0], atol=1e-5)
-    assert jax.vmap(size)(speeds).tolist() == pytest.approx([0.0, 1.239855, np.inf], abs=1e-6)
-
-
-@pytest.mark.long
-def test_what_is_small_enough_dies_for_certain():
-    """Random states whose energy is that of what is said to die: it never rises from then on."""
-    radius = quiet_radius(FREE)
-    rest = steady_sliding(FREE)[0]
-
-    def energy(state):
-        d = state[0] - rest
-        return 0.5 * jnp.sum(state[1] ** 2 - d * FREE.restoring_force(d))
-
-    @eqx.filter_jit
-    @jax.vmap
-    def energies(x, v):
-        share = radius / jnp.sqrt(2.0 * energy((rest + x, v)))
-        start = rest + share * x, share * v
-        times = jnp.linspace(0.0, 60.0, 241)
-        path = simulate(FREE, start, 60.0, observe=Trajectory(times)).observed
-        return jax.vmap(energy)(path)
-
-    random = np.random.default_rng(0).standard_normal((2, 32, 3))
-    found = energies(*jnp.asarray(random))
-    np.testing.assert_allclose(found[:, 0], 0.5 * radius**2)
-    assert (np.diff(found, axis=1) < 1e-9).all()
-    assert (found[:, -1] < 0.5 * found[:, 0]).all()
 
 
 @pytest.mark.long

@@ -13,16 +13,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from systems.double_well import Well, by_scipy, double_well
 
-from jaxchain import (
-    PeakTimes,
-    equation_8,
-    excited_state,
-    paper_chain,
-    simulate,
-    steady_sliding,
-)
+from jaxchain import excited_state, paper_chain, simulate
 from jaxchain.basins import edge_state
-from jaxchain.observers import mean_period
 from jaxchain.result import Result, SearchResult, name_of
 
 from .planes import Plane
@@ -41,7 +33,6 @@ GROWTH, LIVELY = 0.1, 2.0
 # Belt speed, a, decay, frequency of the other; r of the mass at both starts; patience; outcome.
 FLOWS = {
     "usual": (FAST, 1.25, 0.1, 1.0, 0.5, 1.9, 2e4, "successful"),
-    "low": (1.1, 0.4, 0.1, 1.0, 0.1, 1.9, 2e4, "successful"),
     "turned": (FAST, 1.25, 0.1, 1.0, 1.9, 0.5, 2e4, "successful"),
     "mirrored": (-FAST, 1.25, 0.1, 1.0, 0.5, 1.9, 2e4, "successful"),
     "two frequencies": (FAST, 1.25, 0.0, 2.0**0.5, 0.5, 1.9, 2e4, "successful"),
@@ -93,7 +84,7 @@ def closed_form():
 @functools.cache
 def all_edges():
     """All in one program."""
-    columns = [jnp.array(column) for column in list(zip(*FLOWS.values(), strict=True))[:-1]]
+    *columns, _ = (np.array(column) for column in zip(*FLOWS.values(), strict=True))
 
     @jax.jit
     @jax.vmap
@@ -134,10 +125,8 @@ def test_the_edge_of_a_flow_is_where_it_neither_grows_nor_decays(edges, name):
         assert float(edge.period) == pytest.approx(2 * np.pi, abs=1e-9)
         assert float(edge.gap) < 1e-6
     # How it was followed.
-    known = np.isfinite(edge.distances)
-    count = known.sum()
-    assert 5 <= count <= known.size
-    assert known[:count].all()
+    count = np.isfinite(edge.distances).sum()
+    assert count >= 5
     np.testing.assert_allclose(edge.times, 20.0 * np.arange(1, 26))
     # Both ends leave the edge until the bracket is cut again.
     growth = np.asarray(edge.distances[:count])
@@ -147,7 +136,6 @@ def test_the_edge_of_a_flow_is_where_it_neither_grows_nor_decays(edges, name):
     assert len(grows) > count / 2
     np.testing.assert_allclose(grows, np.exp(20.0 * GROWTH), rtol=0.2)
     np.testing.assert_allclose(edge.amplitudes[:count, 1], a, atol=1e-5)
-    assert not np.isfinite(edge.amplitudes[count:]).any()
 
 
 def test_its_cycle_is_closed_from_the_state_and_the_period(edges, monkeypatch):
@@ -161,11 +149,7 @@ def test_its_cycle_is_closed_from_the_state_and_the_period(edges, monkeypatch):
     edge = edges["usual"]
     with pytest.raises(RuntimeError, match="no search"):
         edge.cycle(tolerance=1e-7)
-    chain, (state, period), how = seen
-    assert chain is edge.chain
-    assert state is edge.state
-    assert period is edge.period
-    assert how == {"mass": 1, "tolerance": 1e-7}
+    assert seen == [edge.chain, (edge.state, edge.period), {"mass": 1, "tolerance": 1e-7}]
     assert "EdgeState: successful" in repr(edge)
     for name in ("both die", "two frequencies"):
         with pytest.raises(ValueError, match="not periodic"):
@@ -203,92 +187,41 @@ def test_a_bracket_that_has_lost_the_edge_is_widened_where_it_is(vibrate, ends, 
     assert name_of(new.result) == "successful"
 
 
-def edge_of(speed, weak, strong, n=1, width=None, **how):
-    """The edge between two pulls of one mass."""
-    chain = paper_chain(n, belt_speed=speed, width=width)
-    starts = (excited_state(chain, 1, amplitude=pull) for pull in (weak, strong))
-    return edge_state(chain, *starts, **how)
-
-
-def test_what_decides_the_program_must_not_be_traced():
-    starts = ((jnp.ones(1), jnp.zeros(1)), (jnp.full(1, 2.0), jnp.zeros(1)))
-    chain = paper_chain(1, width=None)
-    for name in ("time", "window", "rtol"):
-        with pytest.raises(ValueError, match=f"`{name}`.* traced"):
-            jax.jit(lambda a, name=name: edge_state(chain, *starts, **{name: a}))(1.0)
-
-
 def test_an_edge_state_is_not_differentiated(closed_form):
-    """Its derivatives would be zero, which is wrong."""
+    """Its derivatives would be zero, which is wrong; nor is traced what decides the program."""
     starts = (jnp.ones(2), jnp.zeros(2)), (jnp.full(2, 1.9), jnp.zeros(2))
     chain = paper_chain(2, width=None)
     for differentiate in (jax.grad, jax.jacfwd):
         with pytest.raises(RuntimeError, match="find_limit_cycle"):
             differentiate(lambda v: edge_state(chain.with_(belt_speed=v), *starts).distance)(1.7)
+    with pytest.raises(ValueError, match=r"`window`.* traced"):
+        jax.jit(lambda a: edge_state(chain, *starts, window=a))(1.0)
 
 
 @pytest.mark.long
 def test_the_edge_of_one_mass_is_the_unstable_cycle():
     """By SciPy, also near the fold, at 1.8366; from both ends runs go to the two states."""
-    abouts = {1.16: 0.187, 1.3: 0.79, FAST: 1.25, 1.7: 1.61, 1.83: 1.84}
-    found = jax.jit(jax.vmap(lambda v: edge_of(v, 0.05, 2.5)))(jnp.array(list(abouts)))
+    abouts = {1.16: 0.187, FAST: 1.25, 1.83: 1.84}
+
+    def edge_at(speed):
+        chain = paper_chain(1, belt_speed=speed, width=None)
+        return edge_state(chain, *(excited_state(chain, 1, amplitude=a) for a in (0.05, 2.5)))
+
+    found = jax.jit(jax.vmap(edge_at))(jnp.array(list(abouts)))
     assert np.all(found.successful)
     assert np.all(found.periodic)
     for k, (speed, about) in enumerate(abouts.items()):
         edge, plane = lane(found, k), Plane.paper(speed)
         right = plane.cycle(0.9 * about, 1.1 * about)
-        period = plane.back(right)[1]
-        assert float(edge.amplitude[0]) == pytest.approx(
-            (right - plane.left_of(right)) / 2, abs=1e-6
-        )
-        assert float(edge.period) == pytest.approx(period, abs=1e-7)
+        assert float(edge.period) == pytest.approx(plane.back(right)[1], abs=1e-7)
         assert edge.vibrates[:, 0].tolist() == [False, True]
-    edge = lane(found, 2)
+    edge = lane(found, 1)
     for end, vibrates in ((edge.below, False), (edge.above, True)):
         run = simulate(edge.chain, end, 1500.0, observe=module.Amplitude(20.0), rtol=1e-11)
-        assert (run.observed[0] > FAST) == vibrates
-        assert vibrates or run.observed[0] < 1e-2
+        assert run.observed[0] > FAST if vibrates else run.observed[0] < 1e-2
     cycle = edge.cycle()
     assert cycle.stable is False
     assert float(abs(cycle.amplitude - edge.amplitude)[0]) < 1e-7
-
-
-def next_one_pulled(speed, count, time):
-    """The edge between `count` vibrating masses of twenty, and one more."""
-    chain = paper_chain(20, belt_speed=speed, width=None)
-    x, v = simulate(chain, equation_8(chain, count), 2000.0, rtol=1e-11).state
-    pulled = jnp.arange(20) == 10 + count
-    more = jnp.where(pulled, steady_sliding(chain)[0] + 2.2, x), jnp.where(pulled, 0.0, v)
-    return edge_state(chain, (x, v), more, time=time)
-
-
-@pytest.mark.long
-def test_edges_between_one_two_and_three_vibrating_masses():
-    """With a pair that sticks and slips the slip cycle locks; with one mass it beats."""
-    found = jax.jit(jax.vmap(lambda k: next_one_pulled(1.5, k, 6000.0)))(jnp.array([1, 2]))
-    for k, count in enumerate((1, 2)):
-        edge = lane(found, k)
-        np.testing.assert_array_equal(np.flatnonzero(edge.vibrates[0]), 10 + np.arange(count))
-        np.testing.assert_array_equal(np.flatnonzero(edge.vibrates[1]), 10 + np.arange(count + 1))
-        assert int(edge.mass) == 10 + count
-    beats, locked = lane(found, 0), lane(found, 1)
-    assert name_of(beats.result) == "not_settled"
-    assert not bool(beats.periodic)
-    history = np.asarray(beats.amplitudes[50:, 11])
-    assert history.min() < 1.12 < 1.36 < history.max()
-    run = simulate(beats.chain, beats.state, 80.0, observe=PeakTimes(32), rtol=1e-11)
-    periods = [float(mean_period(run.observed[:, mass])) for mass in (10, 11)]
-    assert abs(periods[0] - periods[1]) > 0.01
-    # A saddle with one unstable direction: two masses stick and slip, the third only slides.
-    assert name_of(locked.result) == "successful"
-    cycle = locked.cycle()
-    np.testing.assert_allclose(locked.amplitude, cycle.amplitude, rtol=0, atol=1e-6)
-    moduli = np.abs(cycle.multipliers)
-    assert (moduli > 1.0).sum() == 1
-    assert moduli[0] == pytest.approx(1.28442, abs=1e-4)
-    assert np.isneginf(cycle.scaled_peak_velocity).tolist() == [
-        i not in (10, 11) for i in range(20)
-    ]
 
 
 LEFT, RIGHT = ([-0.8], [0.6]), ([0.5], [0.6])
@@ -319,17 +252,3 @@ def test_the_edge_between_two_wells_is_the_stable_manifold_of_their_saddle():
     np.testing.assert_allclose(edge.state[1] / edge.state[0], shrinks, atol=1e-4)
     for side, end in ((False, edge.below), (True, edge.above)):
         assert (by_scipy(0.5, np.ravel(end))[0] > 0) == side
-
-
-@pytest.mark.long
-def test_the_edge_of_a_forced_motion_has_the_period_of_its_force():
-    wells = double_well(0.5, force=0.05)
-    edge = edge_state(wells, LEFT, RIGHT, time=100.0, tolerance=1e-6, **BETWEEN)
-    assert name_of(edge.result) == "successful"
-    assert float(edge.period) == pytest.approx(2 * np.pi, rel=1e-12)
-    cycle = edge.cycle(tolerance=1e-7)
-    assert cycle.turns == 1
-    np.testing.assert_allclose(edge.state, cycle.state, atol=1e-8)
-    # At the saddle x'' + c x' - x = F cos t, nearly.
-    assert abs(float(edge.amplitude[0]) - 0.05 / np.hypot(2.0, 0.5)) < 1e-4
-    assert abs(cycle.multipliers[0]) > 100

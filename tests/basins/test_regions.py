@@ -94,10 +94,9 @@ def test_starts_have_derivatives_in_the_edges():
 def test_a_region_that_does_not_fit_is_refused():
     pairs = r"make the pair \(displacement, velocity\) of shape \(3,\)"
     none: Any = lambda chain, point: point
-    with pytest.raises(ValueError, match=pairs):
-        check_region(Sampler(none, 2), CHAIN)
-    with pytest.raises(ValueError, match=pairs):
-        check_region(Sampler(lambda chain, point: (point, point), 2), CHAIN)
+    for sampler in (Sampler(none, 2), Sampler(lambda chain, point: (point, point), 2)):
+        with pytest.raises(ValueError, match=pairs):
+            check_region(sampler, CHAIN)
     assert check_region(Sampler(lambda chain, point: (point, point), 3), CHAIN) == 3
     assert check_region(REGIONS["ranges"][0], CELLS) == 2
     with pytest.raises(ValueError, match="must make the tuple"):
@@ -105,16 +104,8 @@ def test_a_region_that_does_not_fit_is_refused():
     for region in (Box(), Ball(1.0), Gaussian(1.0, 1.0)):
         with pytest.raises(ValueError, match=r"`Chain`.*`Ranges` and `Sampler`"):
             check_region(region, CELLS)
-    with pytest.raises(ValueError, match="make the pair"):
-        check_region(Ranges(([0.0],), ([1.0],)), CHAIN)
-    for low, high, match in (
-        (([0.0],), ([0.0],), "low < high"),
-        (([0.0, 2.0],), ([1.0, 1.0],), "low <= high"),
-        (([0.0],), ([1.0, 1.0],), "arrays of one shape"),
-        (([0.0], [0.0]), ([1.0],), "arrays of one shape"),
-    ):
-        with pytest.raises(ValueError, match=match):
-            Ranges(low, high)
+    with pytest.raises(ValueError, match="low <= high"):
+        Ranges(([0.0, 2.0],), ([1.0, 1.0],))
 
 
 @pytest.mark.parametrize("kind", ["sobol", "random"])
@@ -123,8 +114,7 @@ def test_points_go_on_where_they_stopped_and_replicates_differ(kind):
     again = Points(3, 4, kind, 7)
     assert np.array_equal(once, np.concatenate([again.more(16), again.more(48)], axis=1))
     assert once.shape == (4, 64, 3)
-    assert once.min() >= 0
-    assert once.max() < 1
+    assert 0 <= once.min() < once.max() < 1
     assert len(np.unique(once[:, 0, 0])) == 4
     assert not np.array_equal(once, Points(3, 4, kind, 8).more(64))
 

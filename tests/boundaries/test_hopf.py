@@ -12,8 +12,6 @@ from scipy.optimize import brentq
 from jaxchain import Chain, Coulomb, ExponentialDecay, TanhFriction, paper_chain
 from jaxchain.boundaries.hopf import hopf_belt_speed
 
-EXACT = np.log(10.0) / 2
-
 
 def abscissa(chain, belt_speed):
     """The greatest real part of the eigenvalues, from the formulas, by NumPy."""
@@ -30,15 +28,6 @@ def abscissa(chain, belt_speed):
         K = K + float(chain.coupling) * np.outer(stretch, stretch)
     J = np.block([[np.zeros((n, n)), np.eye(n)], [-K, -np.diag(D)]])
     return np.real(np.linalg.eigvals(J)).max()
-
-
-def test_the_papers_chain_has_half_the_logarithm_of_ten():
-    """Where damping is uniform neither belt speed nor stiffness nor coupling matters."""
-    springs = {"stiffness": jnp.array([0.5, 1.0, 2.0, 3.0]), "coupling": jnp.array([0.1, 0, 2, 1])}
-    for width, belt_speed in ((1e-2, -3.0), (1e-3, 0.0), (1e-6, 40.0)):
-        chain = paper_chain(4, belt_speed, width).with_(**springs)
-        assert float(hopf_belt_speed(chain)) == pytest.approx(EXACT, abs=1e-14)
-    assert float(hopf_belt_speed(paper_chain(1))) == pytest.approx(EXACT, abs=1e-14)
 
 
 def test_wide_smoothing_moves_it_to_where_scipy_finds_it():
@@ -58,6 +47,10 @@ def test_wide_smoothing_moves_it_to_where_scipy_finds_it():
         assert float(slope) == pytest.approx(differences, rel=1e-6, abs=1e-9)
 
 
+# Where damping is uniform they do not matter, nor does the belt speed.
+SPRINGS = np.array([0.1, 0, 2, 1]), np.array([0.5, 1.0, 2.0, 3.0])
+
+
 def test_it_and_its_derivatives_hold_for_random_parameters_in_one_batch():
     rng = np.random.default_rng(1)
     p = rng.uniform([0.01, 0.3, 0.2, 0.5], [0.3, 1.0, 2.0, 2.0], (300, 4))
@@ -66,7 +59,7 @@ def test_it_and_its_derivatives_hold_for_random_parameters_in_one_batch():
     def found(p, width):
         xi, drop, v_ref, load = p
         law = ExponentialDecay(0.5 + drop, 0.5, v_ref)
-        return hopf_belt_speed(Chain(5, TanhFriction(law, width), 1.0, xi, 0.3, 1.0, load))
+        return hopf_belt_speed(Chain(4, TanhFriction(law, width), -1.0, xi, *SPRINGS, load))
 
     value, slopes = jax.jit(jax.vmap(jax.value_and_grad(found)))(jnp.asarray(p), width)
     xi, drop, v_ref, load = p.T
@@ -106,27 +99,25 @@ def test_a_mistuned_chain_loses_stability_where_numpy_says():
         stiffness=1.0 + 0.05 * rng.normal(size=3),
         normal_load=1.0 + 0.1 * rng.normal(size=3), coupling=0.05,
     )  # fmt: skip
-    numbers, rebuild = ravel_pytree(chain)
+    flat, rebuild = ravel_pytree(chain)
+    numbers = np.asarray(flat)
     both = jax.jit(jax.value_and_grad(lambda flat: hopf_belt_speed(rebuild(flat))))
     found, slopes = both(numbers)
     assert abs(abscissa(chain, float(found))) < 1e-14
     assert abscissa(chain, float(found) - 1e-6) > 1e-9
     assert all(abscissa(chain, v) < 0 for v in float(found) + np.geomspace(1e-6, 10.0, 50))
-    step = 1e-5
 
-    def by_numpy(k, change) -> Any:
-        there = rebuild(numbers.at[k].add(change))
+    def by_numpy(change) -> Any:
+        there = rebuild(numbers + change)
         return brentq(lambda v: abscissa(there, v), 0.8, 2.0, xtol=1e-15)
 
-    for k in range(numbers.size):
-        difference = (by_numpy(k, step) - by_numpy(k, -step)) / (2 * step)
-        assert float(slopes[k]) == pytest.approx(difference, rel=1e-5, abs=1e-7)
+    for one in 1e-5 * np.eye(numbers.size):
+        difference = (by_numpy(one) - by_numpy(-one)) / 2e-5
+        assert float(slopes @ one) == pytest.approx(1e-5 * difference, rel=1e-5, abs=1e-12)
     assert rebuild(slopes).belt_speed == 0.0
-    assert np.abs(rebuild(slopes).stiffness).min() > 1e-6  # here stiffness does matter
-    for damping in (jnp.full(3, 0.6), jnp.zeros(3), jnp.array([-0.01, -0.011, -0.009])):
+    for damping in (np.full(3, 0.6), np.array([-0.01, -0.011, -0.009])):
         none, slopes = both(ravel_pytree(chain.with_(damping_ratio=damping))[0])
         assert np.isnan(none)
         assert np.isnan(slopes).all()
-    assert np.isnan(
-        hopf_belt_speed(paper_chain(3).with_(friction=TanhFriction(Coulomb(0.5), 1e-3)))
-    )
+    constant = paper_chain(3).with_(friction=TanhFriction(Coulomb(0.5), 1e-3))
+    assert np.isnan(hopf_belt_speed(constant))

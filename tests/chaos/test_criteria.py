@@ -15,6 +15,8 @@ from jaxchain.chaos.classification import (
 )
 from jaxchain.cycles.limit_cycle import ClosedOrbit
 
+FORCED: dict[str, Any] = {"width": 5e-5, "forcing_period": 5.0}
+
 
 def run_of(kind="open", noise=0.0, exponents=(), width=1e-3, **more):
     values = np.asarray(exponents, float)
@@ -23,19 +25,32 @@ def run_of(kind="open", noise=0.0, exponents=(), width=1e-3, **more):
 
 
 def test_exponents_decide_only_with_their_whole_interval():
-    limits = Criteria()
-    assert judge_exponents(run_of(exponents=(2e-3, 0.0)), limits) == "chaos"
-    assert judge_exponents(run_of(exponents=(5e-4, 0.0)), limits) == "open"
-    assert judge_exponents(run_of(exponents=(1e-5, 0.0), width=5e-5), limits) == "torus"
-    # One zero exponent belongs to any flow.
-    assert judge_exponents(run_of(exponents=(0.0, -1e-4), width=5e-5), limits) == "open"
-    assert judge_exponents(run_of(exponents=(0.0, -5e-4), width=5e-5), limits) == "cycle"
-    drifting = run_of(exponents=(1e-5, 0.0), width=5e-5, drift=0.1)
-    assert judge_exponents(drifting, limits) == "open"
-    new = run_of(exponents=(1e-5, 0.0), width=5e-5, novelty=0.5)
-    assert judge_exponents(new, limits) == "open"
-    assert judge_exponents(run_of(), limits) == "open"
-    assert judge_exponents(run_of(exponents=(np.nan, np.nan)), limits) == "open"
+    narrow: dict[str, Any] = {"width": 5e-5}
+    for verdict, exponents, more in (
+        ("chaos", (2e-3, 0.0), {}),
+        ("open", (5e-4, 0.0), {}),
+        ("torus", (1e-5, 0.0), narrow),
+        # One zero exponent belongs to any flow.
+        ("open", (0.0, -1e-4), narrow),
+        ("cycle", (0.0, -5e-4), narrow),
+        ("open", (1e-5, 0.0), narrow | {"drift": 0.1}),
+        ("open", (1e-5, 0.0), narrow | {"novelty": 0.5}),
+        ("open", (), {}),
+        ("open", (np.nan, np.nan), {}),
+        ("cycle", (1e-5, -1e-3), narrow),
+        ("open", (-1e-3, -2e-3), narrow),
+        # None of a forced motion does.
+        ("cycle", (-1e-3, -2e-3), FORCED),
+        ("torus", (1e-5, -1e-3), FORCED),
+        ("torus", (1e-5,), FORCED),
+        ("open", (-1e-4, -1e-3), FORCED),
+        ("chaos", (1e-3, -1e-3), FORCED),
+        ("open", (1e-5, -1e-3), FORCED | {"novelty": 0.5}),
+    ):
+        given: dict[str, Any] = {"exponents": exponents, **more}
+        assert judge_exponents(run_of(**given), Criteria()) == verdict, given
+    slow = run_of("cycle", exponents=(-1e-3, -2e-3), forcing_period=5.0, locked_at=500.0)
+    assert slow.relaxation_time == 1e3
 
 
 def test_a_torus_is_seen_by_an_ensemble_of_smooth_averages():
@@ -46,6 +61,11 @@ def test_a_torus_is_seen_by_an_ensemble_of_smooth_averages():
     assert not judge_torus(scattered, Criteria())
     third = [run_of(exponents=(1e-5, -3e-4)) for _ in range(3)]
     assert not judge_torus(third, Criteria())
+    # A force has no exponent: one is enough.
+    narrow: dict[str, Any] = {"width": 5e-5}
+    for more, is_torus in ((FORCED, True), (narrow, False)):
+        runs = [run_of(exponents=(e, -1e-3), **more) for e in (1e-5, 2e-5, 3e-5)]
+        assert judge_torus(runs, Criteria()) is is_torus
 
 
 @pytest.mark.parametrize(
@@ -134,24 +154,3 @@ def test_every_multiplier_may_have_the_error_of_the_trivial_one():
     orbit = orbit._replace(multipliers=np.array([0.0, np.nan]))
     np.testing.assert_allclose(orbit.exponents, [-np.inf, np.nan])
     np.testing.assert_allclose(orbit.highest_exponents, [-np.inf, np.log(1e-9) / period])
-
-
-def test_a_forced_motion_has_no_exponent_of_the_flow():
-    def forced(*exponents, **more):
-        return run_of(exponents=exponents, width=5e-5, forcing_period=5.0, **more)
-
-    limits = Criteria()
-    assert judge_exponents(forced(-1e-3, -2e-3), limits) == "cycle"
-    assert judge_exponents(forced(1e-5, -1e-3), limits) == "torus"
-    assert judge_exponents(forced(1e-5), limits) == "torus"
-    assert judge_exponents(forced(-1e-4, -1e-3), limits) == "open"
-    assert judge_exponents(forced(1e-3, -1e-3), limits) == "chaos"
-    assert judge_exponents(forced(1e-5, -1e-3, novelty=0.5), limits) == "open"
-    # The same exponents without a force are those of a cycle, or of none.
-    assert judge_exponents(run_of(exponents=(1e-5, -1e-3), width=5e-5), limits) == "cycle"
-    assert judge_exponents(run_of(exponents=(-1e-3, -2e-3), width=5e-5), limits) == "open"
-    runs = [forced(e, -1e-3) for e in (1e-5, 2e-5, 3e-5)]
-    assert judge_torus(runs, limits)
-    assert not judge_torus([run_of(exponents=(e, -1e-3)) for e in (1e-5, 2e-5, 3e-5)], limits)
-    slow = run_of("cycle", exponents=(-1e-3, -2e-3), forcing_period=5.0, locked_at=500.0)
-    assert slow.relaxation_time == 1e3

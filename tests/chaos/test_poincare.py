@@ -37,13 +37,13 @@ def made_up(delays, periods, windows=20, length=50.0, wander=0.0):
 
 def test_a_recurring_section_is_distinguished_from_one_that_drifts():
     still = recurrence(made_up([0.0, 1.0], [6.25, 6.25]), scale=1.0)
-    assert still.returns == 1
-    assert still.spread < 1e-12
-    np.testing.assert_allclose(still.period, 6.25)
+    np.testing.assert_allclose(
+        [still.returns, still.period, still.spread], [1, 6.25, 0], atol=1e-12
+    )
     # The second mass needs two maxima of the first.
     double = recurrence(made_up([0.0, 1.0], [6.25, 12.5]), scale=1.0)
-    assert (double.returns, round(double.period, 9)) == (2, 12.5)
-    assert double.spread < 1e-12
+    found = double.returns, double.period, double.spread
+    np.testing.assert_allclose(found, [2, 12.5, 0], atol=1e-12)
     drifting = recurrence(made_up([0.0, 1.0], [6.25, 6.25 * 1.017]), scale=1.0)
     assert drifting.spread > 0.5
     creeping = recurrence(made_up([0.0, 1.0], [6.25, 6.25], wander=1e-3), scale=1.0)

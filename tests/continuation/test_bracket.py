@@ -7,12 +7,6 @@ import numpy as np
 from jaxchain.continuation import bisect
 
 
-def test_the_change_lies_within_an_interval_of_the_requested_length():
-    low, high = bisect(lambda x: x**3 < 5.0, jnp.asarray(1.0), jnp.asarray(2.0), 20)
-    assert low < 5 ** (1 / 3) <= high
-    np.testing.assert_allclose(high - low, 2.0**-20, rtol=1e-6)
-
-
 def test_entries_and_lanes_are_searched_each_by_itself():
     """Without a change the search ends where it points to; a lane of NaN harms no other."""
     a = jnp.array([[0.5, 1.5, 3.5], [0.25, jnp.nan, 9.0], [-9.0, 0.1, 3.0]])

@@ -6,10 +6,8 @@ import numpy as np
 import scipy.optimize
 from jax import lax
 
-from jaxchain.continuation.damped_newton import (
-    factorise,
-    newton,
-)
+from jaxchain.continuation.damped_newton import factorise, newton
+from jaxchain.continuation.iteration import iterate
 from jaxchain.result import SearchResult
 
 
@@ -98,3 +96,15 @@ def test_factors_solve_and_know_the_determinant():
         found, determinant = solved(matrix)
         np.testing.assert_allclose(found, np.linalg.solve(matrix, right))
         np.testing.assert_allclose(determinant, np.linalg.slogdet(matrix / weights))
+
+
+def test_a_loop_ends_where_it_arrives_or_at_the_limit():
+    of = SearchResult
+    ended = lambda x: of.where(x < 0.1, of.successful, of.max_steps_reached)
+    for limit, steps, result in (
+        (20, 4, of.successful),
+        (4, 4, of.successful),  # it arrives with its last step
+        (3, 3, of.max_steps_reached),
+    ):
+        _, found, count = iterate(lambda x, k: 0.5 * x, jnp.asarray(1.0), ended, limit)
+        assert (int(count), bool(found == result)) == (steps, True), limit

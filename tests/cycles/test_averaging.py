@@ -15,26 +15,20 @@ def test_the_gain_is_the_work_of_friction_and_damping_in_a_period():
     np.testing.assert_allclose(jax.jit(gain)(chain, 0.8, 1.5), work / 1.2, atol=1e-8)
 
 
-def test_a_law_that_is_not_greatest_at_rest_may_vibrate_at_higher_belt_speeds():
+def test_where_friction_falls_and_weakens_most_bounds_speeds_and_widths():
+    law = ExponentialDecay(1.0, 0.5, 0.5)
     bump = TabulatedFriction([0.0, 0.5, 1.0, 1.5], [0.2, 1.0, 0.6, 0.4])
-    speeds = [
-        float(jax.jit(greatest_speed)(Chain(1, TanhFriction(law, 1e-3), 1.0, 0.05)))
-        for law in (ExponentialDecay(1.0, 0.5, 0.5), bump)
-    ]
+    narrow = GaussianStribeck(1.0, 0.5, 0.1, 0.0)
+    plain, bumpy, bell = (
+        Chain(1, TanhFriction(own, 1e-3), 1.0, 0.05) for own in (law, bump, narrow)
+    )
     # 2 mu_st / xi at rest; 2 (1 - 0.4) / xi where friction falls most.
-    np.testing.assert_allclose(speeds, [40.0, 24.0], rtol=2e-4)
-
-
-def test_widths_are_compared_with_where_friction_weakens_most():
-    chains = [
-        Chain(1, TanhFriction(law, 1e-3), 1.0, 0.05)
-        for law in (ExponentialDecay(1.0, 0.5, 0.5), GaussianStribeck(1.0, 0.5, 0.1, 0.0))
-    ]
+    greatest, scale = jax.jit(greatest_speed), jax.jit(speed_scale)
+    np.testing.assert_allclose([greatest(plain), greatest(bumpy)], [40.0, 24.0], rtol=2e-4)
     # 2 mu_st over the greatest -mu': 0.5 / 0.5 at rest, and 0.5 sqrt(2 / e) / 0.1.
-    expected = [2.0, 2.0 / (5.0 * np.sqrt(2.0 / np.e))]
-    scale = jax.jit(speed_scale)
-    np.testing.assert_allclose([scale(c, 9.0) for c in chains], expected, rtol=1e-3)
-    assert scale(chains[0], 1.5) == 1.5
+    expected = 2.0, 2.0 / (5.0 * np.sqrt(2.0 / np.e))
+    np.testing.assert_allclose([scale(plain, 9.0), scale(bell, 9.0)], expected, rtol=1e-3)
+    assert scale(plain, 1.5) == 1.5
 
 
 def test_the_guess_is_near_the_fold_and_says_when_there_is_none():

@@ -9,10 +9,6 @@ from jaxchain import continue_cycle, find_limit_cycle
 from jaxchain.model import MechanicalCells
 
 
-def cubic(q, v):
-    return (-(q[0] ** 3),)
-
-
 def exact(a):
     """The period of x'' + x + x^3 = 0: 4 K(k) / (1 + A^2)^(1/2), k^2 = A^2 / (2 + 2 A^2)."""
     return 4 * ellipk(a**2 / (2 + 2 * a**2)) / np.sqrt(1 + a**2)
@@ -20,7 +16,7 @@ def exact(a):
 
 @pytest.mark.long
 def test_cycles_without_damping_are_a_family_over_their_period():
-    cells = MechanicalCells(1.0, damping=0.0, local_force=cubic)
+    cells = MechanicalCells(1.0, damping=0.0, local_force=lambda q, v: (-(q[0] ** 3),))
     assert exact(1.0) == pytest.approx(4.76802202910, abs=1e-11)
     state = jnp.zeros(1), jnp.full(1, np.sqrt(1.5) + 0.05)
     up = continue_cycle(cells, state, exact(1.0), parameter="period")
@@ -34,11 +30,8 @@ def test_cycles_without_damping_are_a_family_over_their_period():
     assert down.ended == "left_bounds"
     np.testing.assert_allclose(down.period, exact(down.amplitude[:, 0]), rtol=1e-10)
     assert "period" in down.to_dataset().coords
-    # A damped or forced cycle is no family.
+    # A damped cycle is no family.
     with pytest.raises(RuntimeError, match="No point of the branch"):
         continue_cycle(cells.with_(damping=0.01), state, 4.8, parameter="period")
-    forced = MechanicalCells(1.0, force=1.0, frequency=1.0)
-    with pytest.raises(ValueError, match="this model is forced"):
-        continue_cycle(forced, state, 2 * np.pi, parameter="period")
     with pytest.raises(RuntimeError, match="a second multiplier is 1, so the cycle is one of a"):
         find_limit_cycle(cells, ((jnp.zeros(1), jnp.full(1, 1.27)), exact(1.0)))

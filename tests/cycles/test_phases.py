@@ -34,6 +34,8 @@ def test_the_events_of_a_cycle_and_their_other_order(chains, dry_cycle):
     chain, cycle = chains[1, None], dry_cycle
     phases: Any
     phases, u = phases_of(chain, cycle.state, cycle.period, "stick onset", 0)
+    # A mass that sticks forgets exactly where it came from.
+    assert complex(cycle.multipliers[0]) == 0
     assert phases.sequence == [("landing", 0, -1.0), ("release", 0, -1.0)]
     assert np.asarray(phases.modes).tolist() == [[-1], [0]]
     assert jnp.sum(u[-2:]) == pytest.approx(float(cycle.period), rel=1e-12)

@@ -58,21 +58,16 @@ def test_a_search_is_cancelled_and_the_next_one_runs(searcher, chains):
     with pytest.raises(ValueError, match="belt_speed"):
         searcher.run(boundaries, VanDerPol(1.0), False, *SPEEDS)
 
-
-def test_a_model_that_no_other_process_can_import_is_searched_here(searcher):
-    class Own:
+    class Own:  # which no other process can import: it is searched here
         pass
 
     with pytest.raises(ValueError, match="Own"):
         searcher.run(boundaries, Own(), False, *SPEEDS)
 
 
-@pytest.mark.parametrize("after", [0.0, 0.3])
-def test_what_is_stopped_ends_the_search_that_runs_and_starts_no_other(chains, after):
+def test_what_is_stopped_ends_the_search_that_runs_and_starts_no_other(chains):
     stopped = Searcher()
-    threading.Timer(after, stopped.stop).start()
-    with pytest.raises(CancelledError):
-        stopped.run(boundaries, chains[3, 1e-2], True, *SPEEDS)
-    stopped.stop()
-    with pytest.raises(CancelledError):
-        stopped.run(boundaries, chains[3, 1e-2], True, *SPEEDS)
+    threading.Timer(0.3, stopped.stop).start()
+    for _ in range(2):
+        with pytest.raises(CancelledError):
+            stopped.run(boundaries, chains[3, 1e-2], True, *SPEEDS)

@@ -30,25 +30,18 @@ def random_state(n, seed=0):
 
 def mistuned(ends="cyclic", law: AbstractFrictionLaw = LAW):
     n = 6
-    springs = n if ends == "cyclic" else n - 1
     return Chain(
-        n,
-        TanhFriction(law, 0.05),
-        belt_speed=0.7,
-        damping_ratio=jnp.linspace(0.01, 0.1, n),
-        coupling=jnp.linspace(0.1, 0.5, springs),
-        stiffness=jnp.linspace(0.9, 1.1, n),
-        normal_load=jnp.linspace(0.5, 1.5, n),
-        ends=ends,
-    )
+        n, TanhFriction(law, 0.05), belt_speed=0.7, damping_ratio=np.linspace(0.01, 0.1, n),
+        coupling=np.linspace(0.1, 0.5, n if ends == "cyclic" else n - 1),
+        stiffness=np.linspace(0.9, 1.1, n), normal_load=np.linspace(0.5, 1.5, n), ends=ends,
+    )  # fmt: skip
 
 
 CHAINS = {
     "one": paper_chain(1),
     "two": paper_chain(2, belt_speed=1.5, width=1e-3),
-    "mistuned ring": mistuned(),
+    "mistuned ring": mistuned(law=WeakeningStrengthening(1.0, 0.5, 0.5, 0.1)),
     "mistuned, free ends": mistuned("free"),
-    "strengthening": mistuned(law=WeakeningStrengthening(1.0, 0.5, 0.5, 0.1)),
 }
 
 
@@ -90,26 +83,20 @@ def test_the_structured_jacobian_and_steady_sliding(name):
 
 def test_numbers_are_given_and_changed_by_name():
     assert paper_chain(1).springs is None
-    assert Chain(3, TanhFriction(LAW, 0.1), 1.0).coupling is None
-    zero = Chain(3, TanhFriction(LAW, 0.1), 1.0, coupling=0.0).coupling
-    assert zero is not None  # which is not the same
-    assert float(zero) == 0.0
-    chain: Any = paper_chain(3, 1.2, damping_ratio=0.1, v_ref=0.4, coupling=jnp.full(3, 0.1))
+    chain: Any = paper_chain(3, 1.2, damping_ratio=0.1, v_ref=0.4, coupling=np.full(3, 0.1))
     assert (float(chain.damping_ratio), float(chain.friction.law.v_ref)) == (0.1, 0.4)
     assert (chain.coupling.shape, float(chain.belt_speed), float(chain.width)) == ((3,), 1.2, 1e-3)
     chain = chain.with_(belt_speed=0.4, width=0.2, mu_static=1.5, coupling=None)
     assert (float(chain.belt_speed), float(chain.width), chain.coupling) == (0.4, 0.2, None)
     assert (float(chain.law.mu_static), float(chain.law.mu_dynamic)) == (1.5, 0.5)
-    with pytest.raises(ValueError, match=r"does not know \['speed'\]"):
-        chain.with_(speed=1.0)
+    zero = chain.with_(coupling=0.0).coupling
+    assert zero is not None  # which is not the same
     with pytest.raises(ValueError, match=r"does not know \['damping'\]"):
         paper_chain(3, damping=0.1)
 
 
 def test_a_number_of_the_size_of_si_units_is_warned_of():
     make = partial(Chain, 2, LAW, 1.5)
-    with pytest.warns(UserWarning, match=r"`stiffness` is 200, .* \(N/m\), take .*`Scales\.from"):
-        make(stiffness=jnp.array([1.0, 200.0]))
     for name, value in {"damping_ratio": 12.0, "normal_load": 150.0, "stiffness": 1e5}.items():
         with pytest.warns(UserWarning, match=f"`{name}` is {value:g}, .* SI units"):
             make().with_(**{name: value})
@@ -117,28 +104,25 @@ def test_a_number_of_the_size_of_si_units_is_warned_of():
 
 
 def test_a_law_alone_is_dry_friction():
-    chain = Chain(3, LAW, 1.5, 0.05, 0.01, normal_load=jnp.array([1.0, 2.0, 0.5]))
+    chain = Chain(3, LAW, 1.5, 0.05, 0.01, normal_load=np.array([1.0, 2.0, 0.5]))
     assert chain.dry
-    assert chain.law is chain.friction is LAW
-    assert not chain.with_(width=1e-3).dry
-    assert eqx.tree_equal(chain.with_(width=1e-3).law, LAW)
-    assert chain.with_(width=1e-3).with_(width=None, mu_static=1.2).dry
+    smoothed = chain.with_(width=1e-3)
+    assert not smoothed.dry
+    assert eqx.tree_equal(smoothed.law, LAW)
+    assert smoothed.with_(width=None, mu_static=1.2).dry
     assert float(chain.with_(mu_static=1.2).law.mu_static) == 1.2
     assert float(chain.width) == float(chain.stick_speed()) == 0.0
     assert "width" not in chain.parameters()
     # Slower than the belt, as fast, and faster: friction pulls forward, holds, and pulls back.
-    v = jnp.array([1.0, 1.5, 2.0])
-    mu = float(LAW.coefficient(0.5))
-    pull = chain.local_force(0.0, jnp.zeros(3), v) + 0.1 * v
+    v, mu = jnp.array([1.0, 1.5, 2.0]), 0.5 + 0.5 * np.exp(-1.0)
+    pull = np.asarray(chain.local_force(0.0, jnp.zeros(3), v)) + 0.1 * np.asarray(v)
     np.testing.assert_allclose(pull, [mu, 0.0, -0.5 * mu], rtol=1e-14)
     own = jnp.ones(3), v
-    assert jnp.all(jnp.isneginf(chain.excess_force(0.0, own, own, own)))
+    assert np.all(np.isneginf(chain.excess_force(0.0, own, own, own)))
     # Both kinds agree where tanh is 1, in the force and in its slope.
     w = jnp.array([-1.0, 0.7])
-    for a, b in zip(
-        LAW.force_and_slope(w), TanhFriction(LAW, 1e-3).force_and_slope(w), strict=True
-    ):
-        np.testing.assert_allclose(a, b, rtol=1e-14)
+    both = [friction.force_and_slope(w) for friction in (LAW, TanhFriction(LAW, 1e-3))]
+    np.testing.assert_allclose(*both, rtol=1e-14)
 
 
 def test_margins_are_positive_where_the_constructor_accepts_the_numbers():

@@ -1,7 +1,5 @@
 """Forces, loads and belts that are functions of time or of the state: SciPy with events."""
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,11 +8,9 @@ import pytest
 from witnesses.driven import run
 
 from jaxchain import (
-    Coulomb,
     EventDriven,
     StaticKinetic,
     StickTime,
-    TanhFriction,
     continue_cycle,
     find_limit_cycle,
     simulate,
@@ -67,7 +63,7 @@ def test_a_driven_cell_is_that_of_scipy_with_its_slopes():
     @jax.jit
     def end(a):
         def ends(a):
-            how = {"rtol": 1e-12, "observe": StickTime(), "solver": EventDriven(7)}
+            how = {"rtol": 1e-12, "observe": StickTime(), "solver": EventDriven(5)}
             own = cells.with_(mu_static=1.1 + a, mass=M * (1.0 - a), stiffness=K * (1.0 + 2.0 * a))
             start = tuple(jnp.array([part + a]) for part in y)
             done = simulate(own, start, 30.0, **how)
@@ -83,31 +79,17 @@ def test_a_driven_cell_is_that_of_scipy_with_its_slopes():
 
 @pytest.mark.long
 def test_a_periodic_load_has_cycles_of_its_period():
-    def load(t):
-        return 0.3 + 0.2 * jnp.cos(2 * t)
-
-    def pull(t):
-        return 1.2 * jnp.cos(2 * t)
-
-    cells = one(normal_load=load, force=pull, frequency=2.0)
-    cycle = find_limit_cycle(cells, START)
+    load, pull = lambda t: 0.3 + 0.2 * jnp.cos(2 * t), lambda t: 1.2 * jnp.cos(2 * t)
+    cycle = find_limit_cycle(one(normal_load=load, force=pull, frequency=2.0), START)
     assert float(cycle.period) == pytest.approx(np.pi)
-    y = [float(part[0]) for part in cycle.state]
-    force = free(lambda t: 1.2 * np.cos(2 * t))
-    pressed = lambda t, q, v: 0.3 + 0.2 * np.cos(2 * t)
-    end, _, _ = run(force, np.ones(1), still, pressed, lambda s: 0.7, 1.1, y, np.pi)
-    np.testing.assert_allclose(end, y, atol=1e-8)
-    how = {"damping": 0.1, "normal_load": load, "force": pull, "frequency": 2.0}
-    laws = Coulomb(0.7), TanhFriction(Coulomb(0.7), 1e-4)
-    dry, smoothed = (MechanicalCells(1.0, friction=law, **how) for law in laws)
-    ends = simulate(dry, START, 20.0).state, simulate(smoothed, START, 20.0, rtol=1e-8).state
-    np.testing.assert_allclose(*ends, atol=1e-3)
     branch = continue_cycle(cycle, parameter="damping", bounds=(0.1, 0.3), max_points=4)
-    damping, y = branch.parameter[-1], [float(part[-1, 0]) for part in branch.state]
-    assert damping > 0.1
-    force = free(lambda t: 1.2 * np.cos(2 * t), damping)
-    end, _, _ = run(force, np.ones(1), still, pressed, lambda s: 0.7, 1.1, y, np.pi)
-    np.testing.assert_allclose(end, y, atol=1e-8)
+    assert branch.parameter[-1] > 0.1
+    pressed = lambda t, q, v: 0.3 + 0.2 * np.cos(2 * t)
+    for k in (0, -1):
+        y = [float(part[k, 0]) for part in branch.state]
+        force = free(lambda t: 1.2 * np.cos(2 * t), branch.parameter[k])
+        end, _, _ = run(force, np.ones(1), still, pressed, lambda s: 0.7, 1.1, y, np.pi)
+        np.testing.assert_allclose(end, y, atol=1e-8)
     with pytest.raises(ValueError, match=r"depend on time.*`forcing_period`"):
         find_limit_cycle(one(normal_load=load), START)
 
@@ -122,7 +104,6 @@ def test_a_sweep_of_what_moves_is_that_of_scipy():
     over = {"damping": [0.1, 0.2], "contacts[0].mu_static": [0.8, 0.9]}
     how = {"observe": StickTime(), "solver": EventDriven(4), "rtol": 1e-9}
     data = sweep(cells, START, 20.0, over=over, **how)
-    assert "active_count" not in data  # it is not known what is fast
     belt = lambda t: (0.1 * np.sin(2 * t), 0.2 * np.cos(2 * t))
     load = lambda t, q, v: 1.0 + 0.5 * np.cos(2 * t)
     for damping, mu in ((0.1, 0.9), (0.2, 0.8)):
@@ -131,9 +112,6 @@ def test_a_sweep_of_what_moves_is_that_of_scipy():
         found = data.stick_time.sel({"damping": damping, "contacts[0].mu_static": mu})
         np.testing.assert_allclose(found, [stuck], atol=1e-7)
     assert stuck > 0.1
-    assert cells.value_of("contacts[0].mu_kinetic") == 0.3
-    with pytest.raises(ValueError, match=r"contacts\[2\]"):
-        cells.with_(**{"contacts[2].normal_load": 1.0})
 
 
 def test_a_number_in_a_default_is_no_state():
@@ -152,44 +130,44 @@ def at(table, times):
 def test_a_table_is_the_curve_through_its_points():
     rng = np.random.default_rng(0)
     t = np.sort(rng.uniform(0.0, 5.0, 12))
-    times = np.append(rng.uniform(-1.0, 6.0, 40), t)
-    values = rng.normal(size=(12, 2))
+    times, values = np.append(rng.uniform(-1.0, 6.0, 40), t), rng.normal(size=(12, 2))
     linear = at(Table(t, values, kind="linear"), times)
     for i in range(2):
         np.testing.assert_allclose(linear[:, i], np.interp(times, t, values[:, i]), atol=1e-14)
     # It reproduces a parabola, except beside the ends, where it takes the slope of the chord.
     bent = lambda s: 1.0 - 2.0 * s + 0.7 * s**2
-    inside = rng.uniform(t[1], t[-2], 40)
+    inside = rng.uniform(t[1], t[-2], times.size)
     np.testing.assert_allclose(at(Table(t, bent(t)), inside), bent(inside), atol=1e-13)
-    wave, period = np.arange(0.0, 3.0, 0.5), 3.0
-    values = np.sin(2 * np.pi * wave / period)
-    again = Table(wave, values, period)
-    closed = Table(np.append(wave, period), np.append(values, values[0]), period)
+    wave = np.arange(0.0, 3.0, 0.5)
+    values = np.sin(2 * np.pi * wave / 3.0)
+    again = Table(wave, values, 3.0)
+    closed = Table(np.append(wave, 3.0), np.append(values, values[0]), 3.0)
     expected = at(again, inside)
     for table in (again, closed):
-        np.testing.assert_allclose(at(table, inside + 2 * period), expected, atol=1e-13)
+        np.testing.assert_allclose(at(table, inside + 6.0), expected, atol=1e-13)
 
 
 def test_a_table_drives_a_dry_run_with_slopes_in_its_values():
     """Each of its times ends a step; SciPy is stopped at the corner of the ramp."""
 
     @jax.jit
-    @partial(jax.jacfwd, has_aux=True)
-    def slopes_and_end(values):
-        cells = one(force=Table([0.0, 2.0, 4.0], values, kind="linear"))
-        x = simulate(cells, START, 4.0, rtol=1e-11, solver=EventDriven(6)).state[0][0]
-        return x, x
+    def end_and_slope(values, by):
+        def end(values):
+            cells = one(force=Table([0.0, 2.0, 4.0], values, kind="linear"))
+            return simulate(cells, START, 4.0, rtol=1e-11, solver=EventDriven(6)).state[0][0]
 
-    values, y = np.array([0.0, 3.0, 0.0]), [0.3, 0.1]
+        return jax.jvp(end, (values,), (by,))
+
+    values, by, y = np.array([0.0, 3.0, 0.0]), np.array([1.0, -0.7, 0.5]), [0.3, 0.1]
     for ramp in (lambda t: 1.5 * t, lambda t: 3.0 - 1.5 * t):
         y, _, _ = run(
             free(ramp), np.ones(1), still, lambda *_: 1.0, lambda s: 0.7, 1.1, y, 2.0
         )  # fmt: skip
-    slope, x = slopes_and_end(values)
+    (x, slope), (above, _), (below, _) = (
+        end_and_slope(values + h * by, by) for h in (0.0, 1e-6, -1e-6)
+    )
     assert float(x) == pytest.approx(y[0], abs=1e-11)
-    for i, side in enumerate(1e-6 * np.eye(3)):
-        difference = float(slopes_and_end(values + side)[1] - slopes_and_end(values - side)[1])
-        assert float(slope[i]) == pytest.approx(difference / 2e-6, abs=1e-7)
+    assert float(slope) == pytest.approx(float(above - below) / 2e-6, abs=1e-7)
 
 
 def test_a_table_is_read_from_a_file(tmp_path):
@@ -208,22 +186,10 @@ def test_a_table_is_read_from_a_file(tmp_path):
     [
         (lambda: one(force=lambda t: jnp.ones(3)), "`force` must be a function .t. that returns"),
         (lambda: one(normal_load=lambda t: "x"), "`normal_load` must be a function .t. or .t, q"),
-        (lambda: one(belt_speed=lambda: 1.0), "`belt_speed` must be a function .t. that returns"),
         (lambda: one(frequency=2.0, force=jnp.cos), "`frequency` = 2 must be that of all drives"),
-        (lambda: one(frequency=2.0), "`force` and `frequency` belong together"),
         (lambda: Table([0.0, 2.0], [1.0, 3.0], period=2.0), "`values` must end as it begins"),
     ],
 )
 def test_bad_drives_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
-
-
-def test_a_belt_that_goes_to_and_fro_in_si_units():
-    """20 x'' + 10 x' + 70 x = -294.3 sign(x' - 2 sin(2 pi t / 50)), by another program."""
-    cells = MechanicalCells(
-        70.0, 20.0, damping=10.0, friction=Coulomb(1.0), normal_load=294.3,
-        belt_speed=lambda t: 2.0 * jnp.sin(2 * jnp.pi * t / 50),
-    )  # fmt: skip
-    x, _ = simulate(cells, (jnp.zeros(1),) * 2, 100.0, rtol=1e-12).state
-    assert float(x[0]) == pytest.approx(-4.191208700, abs=1e-9)

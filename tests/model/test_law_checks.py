@@ -43,11 +43,7 @@ class Scalar(Law):
         (lambda: Linear(jnp.array([0.1, 1.0]), 1e-2 / 3), r"negative at the speed 30\.\d+:"),
         (lambda: Pole(), r"`Pole` is not finite at the speed 0\.5\d*: mu = nan"),
         (lambda: Jump(1.0, 0.7), r"`Jump` jumps at the speed 0\.7, by 0\.1\."),
-        (lambda: Jump(1.0, 99.0, 1e-3), r"jumps at the speed 99, by 0\.001\."),
-        (
-            lambda: Jump(1.0, 0.0),
-            r"at the speed 0: `mu_static` is 1\.0, but mu\(0\) is 1\.1",
-        ),
+        (lambda: Jump(1.0, 0.0), r"at the speed 0: `mu_static` is 1\.0, but mu\(0\) is 1\.1"),
         (lambda: Jump(1.0, 1e-300), r"jumps at the speed .*, by 0\.1\."),
         (lambda: Scalar(), r"element by element, but of an array of shape .* it makes one of"),
     ],

@@ -53,7 +53,6 @@ def test_a_file_of_a_rig_has_speeds_in_m_per_s_and_may_lack_friction_at_rest(tmp
     with pytest.raises(ValueError, match=r"first speed is 0\.25: give .* as `mu_static`\.$"):
         TabulatedFriction.from_csv(file)
     file.write_text("0, 0.9\n0.25, 0.7\n")
-    assert TabulatedFriction.from_csv(file, mu_static=0.9).mu_static == 0.9
     with pytest.raises(ValueError, match=r"`mu_static` is 1\.0, but .* has the friction 0\.9 at"):
         TabulatedFriction.from_csv(file, mu_static=1.0)
 
@@ -64,8 +63,6 @@ def test_a_chain_keeps_its_table_through_changes_and_gives_it_to_every_mass():
         own: Any = kept.law
         np.testing.assert_array_equal(own.pieces, law().pieces)
     assert "pieces" not in ring.parameters()
-    with pytest.raises(ValueError, match="does not know"):
-        ring.with_(pieces=1.0)
 
 
 # From beyond the last speed of the table to just before the mass would stick.

@@ -16,8 +16,6 @@ from jaxchain import (
     PeakTimes,
     Rodas5P,
     Section,
-    active,
-    energy,
     equation_8,
     paper_chain,
     simulate,
@@ -26,41 +24,51 @@ from jaxchain.model import MechanicalCells
 from jaxchain.observers import AbstractObserver, Divergence, Step
 
 # Two undamped masses that know nothing of each other: x_n = X_n cos(omega_n t).
-OMEGA = np.array([1.0, 1.5])
+OMEGA, HEIGHT = np.array([1.0, 1.5]), np.array([0.7, -0.4])
 FREE = LinearRing(
-    damping=jnp.zeros(2),
-    stiffness=jnp.asarray(OMEGA**2),
-    springs=None,
-    x0=jnp.array([0.7, -0.4]),
-    v0=jnp.zeros(2),
-)
-START = (FREE.x0, FREE.v0)
+    damping=jnp.zeros(2), stiffness=jnp.asarray(OMEGA**2), springs=None,
+    x0=jnp.asarray(HEIGHT), v0=jnp.zeros(2),
+)  # fmt: skip
+
+
+def test_an_amplitude_is_that_of_its_window(follow):
+    """It begins at an end of steps, within one, with the run, after a maximum in the same step."""
+    turn = lambda t: (jnp.cos(jnp.ones(1) * t), -jnp.sin(jnp.ones(1) * t))
+    # Within it there is no turning point: from cos(0.5) down to cos(3).
+    expected = (np.cos(0.5) - np.cos(3.0)) / 2
+    for edges in (
+        (0.0, 0.5, 0.5, 2.0, 3.0), (0.0, 0.3, 0.9, 2.0, 3.0), (0.5, 2.0, 3.0, 3.0, 3.0),
+        (-0.5, 0.9, 2.0, 3.0, 3.0),
+    ):  # fmt: skip
+        (found,) = follow([Amplitude(2.5)], paper_chain(1, 1.5), turn, np.array(edges))
+        assert abs(float(found[0]) - expected) < 1e-12, edges
 
 
 def test_maxima_and_sections_of_a_cosine():
-    """One run, which is compiled once; the mass of a section may be a traced number."""
+    """Of a run from -4 pi, a whole number of turns of both masses before 0."""
+    t0 = -4 * np.pi
     watch = [
         PeakTimes(capacity=16), PeakTimes(capacity=2, start=10.0), Section(0, capacity=5),
         *(Section(jnp.asarray(mass), 3, start=1.0, of="velocity") for mass in (0, 1)),
     ]  # fmt: skip
-    run = simulate(FREE, START, 40.0, observe=watch, solver=Rodas5P(), rtol=1e-9)
-    peaks, late, (times, x, v), *fastest = run.observed
-    for n, omega in enumerate(OMEGA):
-        first = 0.0 if float(START[0][n]) < 0 else np.pi / omega  # of a minus-cosine, a cosine
-        expected = np.arange(first + np.pi / omega, 40.0, 2 * np.pi / omega)
-        found = np.asarray(peaks[:, n])
-        np.testing.assert_allclose(found[~np.isnan(found)], expected, atol=1e-6)
+    how = {"t0": t0, "observe": watch, "solver": Rodas5P(), "rtol": 1e-9}
+    run = simulate(FREE, (FREE.x0, FREE.v0), 26.0, **how)
+    peaks, late, (times, x, v), *fastest = jax.tree.map(np.asarray, run.observed)
+    for n, first in enumerate((-2 * np.pi, t0 + np.pi / 1.5)):
+        expected = np.arange(first, 26.0, 2 * np.pi / OMEGA[n])
+        np.testing.assert_allclose(peaks[~np.isnan(peaks[:, n]), n], expected, atol=1e-6)
     np.testing.assert_allclose(late[:, 0], [4 * np.pi, 6 * np.pi], atol=1e-5)
-    np.testing.assert_allclose(times, 2 * np.pi * np.arange(1, 6), atol=1e-6)
-    height, phase = np.asarray(START[0]), OMEGA * np.asarray(times)[:, None]
-    np.testing.assert_allclose(x, height * np.cos(phase), atol=1e-6)
-    np.testing.assert_allclose(v, -height * OMEGA * np.sin(phase), atol=1e-6)
-    for mass, (times, x, v) in enumerate(fastest):
-        # Of -X omega sin(omega t): a quarter period before the maximum, or after it if X < 0.
-        omega, first = OMEGA[mass], np.pi / 2 if float(START[0][mass]) < 0 else 3 * np.pi / 2
-        np.testing.assert_allclose(times, (first + 2 * np.pi * np.arange(3)) / omega, atol=1e-5)
+    np.testing.assert_allclose(times, 2 * np.pi * np.arange(-1, 4), atol=1e-6)
+    phase = OMEGA * times[:, None]
+    np.testing.assert_allclose(x, HEIGHT * np.cos(phase), atol=1e-6)
+    np.testing.assert_allclose(v, -HEIGHT * OMEGA * np.sin(phase), atol=1e-6)
+    # Of -X omega sin(omega t): a quarter period before the maximum, or after it if X < 0.
+    for mass, first in enumerate((3 * np.pi / 2, np.pi / 2)):
+        times, x, v = fastest[mass]
+        expected = (first + 2 * np.pi * np.arange(3)) / OMEGA[mass]
+        np.testing.assert_allclose(times, expected, atol=1e-5)
         np.testing.assert_allclose(x[:, mass], 0.0, atol=1e-5)
-        np.testing.assert_allclose(v[:, mass], abs(float(START[0][mass])) * omega, atol=1e-6)
+        np.testing.assert_allclose(v[:, mass], abs(HEIGHT * OMEGA)[mass], atol=1e-6)
 
 
 def test_integrals_and_turning_points_of_a_step_of_known_motion():
@@ -89,13 +97,12 @@ def test_integrals_and_turning_points_of_a_step_of_known_motion():
     assert gradient == 0.0
 
 
-def of_one_mass(belt_speed, excited, t1, stop: Any = "quiet", **how):
-    chain = paper_chain(1, belt_speed)
-    observe = Amplitude(20.0, stop, tolerance=1e-4 if stop == "steady" else 1e-6)
-    return simulate(chain, equation_8(chain, excited), t1, observe=observe, **how)
-
-
 def test_a_run_stops_early_where_it_may_and_says_so():
+    def of_one_mass(belt_speed, excited, t1, stop: Any = "quiet"):
+        chain = paper_chain(1, belt_speed)
+        observe = Amplitude(20.0, stop, tolerance=1e-4 if stop == "steady" else 1e-6)
+        return simulate(chain, equation_8(chain, excited), t1, observe=observe)
+
     run = of_one_mass(1.9, 1, 1e5)
     assert run.outcome == "quiet"
     assert float(run.t) < 5000
@@ -106,12 +113,6 @@ def test_a_run_stops_early_where_it_may_and_says_so():
     stopped, went_on = of_one_mass(1.4, 1, 2000.0, "steady"), of_one_mass(1.4, 1, 2000.0)
     assert float(stopped.t) < 500 < float(went_on.t)
     np.testing.assert_allclose(stopped.observed, went_on.observed, rtol=1e-3)
-
-
-def test_a_run_that_does_not_reach_the_window_has_no_amplitude():
-    run = of_one_mass(1.5, 1, 100.0, max_steps=5, throw=False)
-    assert run.outcome == "max_steps_reached"
-    assert np.all(np.isnan(run.observed))
 
 
 class Count(AbstractObserver):
@@ -154,14 +155,6 @@ def test_a_run_of_a_batch_observes_its_own_accepted_steps_only(width):
         alone = run(*(np.repeat(numbers[i], 2) for numbers in lanes))
         assert (alone.steps[0], alone.t[0]) == (together.steps[i], together.t[i])
         np.testing.assert_allclose(amplitude[i], alone.observed[0][0], rtol=1e-6)
-
-
-def test_energy_and_activity_of_known_amplitudes():
-    amplitude = jnp.array([[1.5, 0.3, 0.0], [1.6, 1.4, 0.8]])
-    np.testing.assert_allclose(energy(amplitude), [1.17, 2.58], rtol=1e-14)
-    assert active(amplitude, 1.5).sum(axis=1).tolist() == [1, 3]
-    assert active(amplitude, jnp.array([1.5, 1.7])).sum(axis=1).tolist() == [1, 2]
-    assert not active(jnp.array([1e-9]), 0.0).any()
 
 
 def test_an_observed_value_that_is_not_finite_is_a_failure():

@@ -50,14 +50,7 @@ def test_zeros_and_the_maximum_of_a_cubic_and_their_slopes():
     values, _, steps = seen(0.0, (jnp.array([24.0]), jnp.array([-4.0])), -4.0)
     assert int(steps) <= 4
     np.testing.assert_allclose(values[0][0][:2], [-2.0, 2.0], atol=1e-12)
-
-
-def test_crossings_have_names_in_a_dataset():
-    times = jnp.zeros(2), jnp.zeros((2, 3)), jnp.ones((2, 3))
-    named = Crossings(capacity=2).label(times, paper_chain(3))
+    named = Crossings(capacity=2).label(values[1], paper_chain(1))
     dimensions = {name: variable.dims for name, variable in named.items()}
-    assert dimensions == {
-        "crossing_time": ("crossing",),
-        "crossing_displacement": ("crossing", "oscillator"),
-        "crossing_velocity": ("crossing", "oscillator"),
-    }
+    assert dimensions["crossing_time"] == ("crossing",)
+    assert dimensions["crossing_velocity"] == ("crossing", "oscillator")

@@ -39,7 +39,6 @@ def test_each_run_is_a_cell_at_its_place_whichever_way_round_the_axes_are():
         np.testing.assert_array_equal(own, other)
     np.testing.assert_allclose(edges(upright)[0], [0.9, 1.1, 1.4, 1.8], rtol=1e-14)
     np.testing.assert_allclose(edges(upright)[1], [0.05, 0.15, 0.25], rtol=1e-14)
-    assert upright.get_xlim() == pytest.approx((0.9, 1.8))
     assert upright.get_xlabel() == lying.get_ylabel() == r"belt speed $\tilde v_d$ (–)"
     assert bar(upright).get_ylabel() == r"vibration energy $\tilde E$ (–)"
 
@@ -49,14 +48,10 @@ def test_whole_numbers_have_a_colour_each_and_all_others_a_range():
     counts, energies = (plot_map(data, value=name) for name in ("active_count", "energy"))
     (mesh,) = meshes(counts)
     assert (mesh.norm.vmin, mesh.norm.vmax, mesh.cmap.N) == (-0.5, 3.5, 4)
-    ticks = [tick for tick in bar(counts).get_yticks() if -0.5 <= tick <= 3.5]
-    assert ticks == [0, 1, 2, 3]
     assert bar(counts).get_ylabel() == "vibrating oscillators"
     (mesh,) = meshes(energies)
     assert (mesh.norm.vmin, mesh.norm.vmax) == (0.0, pytest.approx(3 * 0.5 * 1.5**2))
     assert mesh.cmap.N == 256
-    data["steps"] *= np.arange(1, 4)[:, None]
-    assert meshes(plot_map(data, value="steps"))[0].cmap.N == 256
 
 
 def test_runs_without_a_value_are_marked_and_the_legend_says_how_many_and_why():
@@ -69,23 +64,15 @@ def test_runs_without_a_value_are_marked_and_the_legend_says_how_many_and_why():
     missing = [[True, True, False], [True, False, True]]
     np.testing.assert_array_equal(np.ma.getmaskarray(mesh.get_array()), missing)
     cells = {tuple(one.cmap(0)): (~one.get_array().mask).tolist() for one in marked}
+    no = [False, False, False]
     expected = {
-        RED: [[True, True, False], [False, False, False]],
-        GREY: [[False, False, False], [False, False, True]],
-        "0.85": [[False, False, False], [True, False, False]],
+        RED: [[True, True, False], no],
+        GREY: [no, [False, False, True]],
+        "0.85": [no, [True, False, False]],
     }
     assert cells == {to_rgba(k): where for k, where in expected.items()}
-    assert legend(axes) == [
-        "1 not run:\npending",
-        "2 failed:\n1 max_steps_reached\n1 nonfinite",
-        "1 without a value",
-    ]
-    np.testing.assert_array_equal(
-        mesh.get_array().compressed(), data.energy.values[[2, 1], [0, 1]]
-    )
-    nothing = plot_map(runs(np.full((3, 2), -1)))
-    assert legend(nothing) == ["6 failed:\nnonfinite"]
-    assert meshes(nothing)[0].get_array().mask.all()
+    failed = "2 failed:\n1 max_steps_reached\n1 nonfinite"
+    assert legend(axes) == ["1 not run:\npending", failed, "1 without a value"]
 
 
 def test_a_function_reduces_other_dimensions_and_no_failed_run_is_averaged_over():
@@ -103,11 +90,6 @@ def test_a_function_reduces_other_dimensions_and_no_failed_run_is_averaged_over(
     np.testing.assert_array_equal(drawn.filled(-1.0), [[0.0, 1.0, 0.5], [1.0, -1.0, 0.5]])
     assert legend(shown) == ["1 failed:\nnonfinite"]
     assert bar(shown).get_ylabel() == "share that vibrates"
-    by_mass = plot_map(data.isel(realisation=0, damping_ratio=1), value="amplitude")
-    np.testing.assert_array_equal(
-        meshes(by_mass)[0].get_array(), data.amplitude[:, 1, 0, :].values.T
-    )
-    assert by_mass.get_ylabel() == "oscillator $n$"
 
 
 @pytest.mark.parametrize("x", ["belt_speed", "damping_ratio"])

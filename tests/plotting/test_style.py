@@ -13,10 +13,8 @@ from jaxchain.plotting.style import axis, value_of
     [
         ("amplitude", "x0", "–", 0.05, "vibration amplitude $A_n$ (m)"),
         ("energy", "x0^2", "–", 0.0025, "vibration energy $E$ (m²)"),
-        ("velocity", "x0 omega_n", "–", 0.5, r"velocity $\dot{x}_n$ (m/s)"),
         ("time", "1 / omega_n", "–", 0.1, "time $t$ (s)"),
         ("friction_force", "P", "–", 10.0, "friction force $F$ (N)"),
-        ("damping_ratio", "1", "–", 1.0, r"damping ratio $\xi$ (–)"),
         ("mine", "percent", "percent", 1.0, "mine (percent)"),
         ("active_count", "1", None, 1.0, "vibrating oscillators"),
     ],

@@ -35,8 +35,8 @@ RUN = {"accuracy": (*POSITIVE, 1e-12, 2.0), "segments": (*COUNT, 10**9)}
 
 def rows() -> Iterator[Row]:
     yield row(
-        "configure", {}, bits=(32, 64.5, "x", True, {}),
-        devices=(-1, 10**30, True, "4", 2.5, []), whole_loops=t.FLAG, cache=(None, 3, []),
+        "configure", {}, bits=(32, 64.5, "x", True, {}), cache=(None, 3, []),
+        devices=(-1, 10**30, True, "4", 2.5, []),
     )  # fmt: skip
     yield from _observers()
     yield from _quantities()
@@ -50,10 +50,10 @@ def rows() -> Iterator[Row]:
         "simulate, dry", {**run, "model": DRY}, solver=(*t.SOLVERS, Rodas4(), dfx.Tsit5()),
         adjoint=("x", dfx.DirectAdjoint(), dfx.BacksolveAdjoint()),
     )  # fmt: skip
-    yield row("explore", {"model": CHAIN, "state": START}, state=states(3))
+    yield row("explore", {"model": CHAIN, "state": START}, state=states(3), show=())
     bad = RUN["accuracy"]
     yield row("choose_numerics", {"model": CHAIN, "accuracy": 1e-3}, accuracy=bad)
-    yield row("cluster", {}, workers=COUNT, scheduler=(3, ["x"]))
+    yield row("cluster", {}, scheduler=(3, ["x"]))
     two = lambda chain, other: START
     quantities = (
         None, "x", 3, Told({}, "one quantity"), ["belt_speed"], {"nonsense": [1]}, {"n": [1]},
@@ -75,25 +75,18 @@ def rows() -> Iterator[Row]:
 
 
 def _observers() -> Iterator[Row]:
+    yield row("Amplitude", {"window": 5.0})
+    yield row("PeakTimes", {}, start=NUMBER)
+    yield row("Section", {"oscillator": 0}, start=NUMBER)
+    masses = ("x", 3, {}, (), (-1,), (1.5,), ((1,),), (True,))
+    yield row("Samples", {"interval": 0.5, "capacity": 4}, start=NUMBER, oscillators=masses)
     yield row(
-        "Amplitude", {"window": 5.0}, window=POSITIVE, stop=WORD, repeats=COUNT,
-        quiet_below=POSITIVE,
-    )  # fmt: skip
-    place = {"capacity": COUNT, "start": NUMBER}
-    yield row("PeakTimes", {}, **place)
-    yield row("Section", {"oscillator": 0}, oscillator=COUNT_0, of=WORD, **place)
-    yield row(
-        "Samples", {"interval": 0.5, "capacity": 4}, interval=POSITIVE, **place,
-        oscillators=("x", 3, {}, (), (-1,), (1.5,), ((1,),), (True,)),
-    )  # fmt: skip
-    yield row(
-        "Crossings", {}, level=NUMBER, direction=WORD, oscillator=COUNT_0, component=COUNT_0,
-        of=("x", 3, lambda t: t), **place,
-    )  # fmt: skip
-    yield row("StickTime", {}, window=POSITIVE)
+        "Crossings", {}, level=NUMBER, direction=WORD, of=("x", 3, lambda t: t), start=NUMBER
+    )
+    yield row("StickTime", {})
     times = (*ARRAY, [[1.0]], [math.nan], Told([2.0, 1.0], "2 is followed by 1"))
     yield row("Trajectory", {}, times=times)
-    yield row("FrontTrack", {"windows": 4}, windows=COUNT, middle=COUNT_0, threshold=POSITIVE)
+    yield row("FrontTrack", {"windows": 4})
 
 
 def _quantities() -> Iterator[Row]:
@@ -109,30 +102,24 @@ def _quantities() -> Iterator[Row]:
     yield row("mean_period", {}, peak_times=(*ARRAY, jnp.ones((2, 2))))
     yield row(
         "delays", {"peak_times": jnp.ones((3, 2)), "reference": 0, "period": 6.0},
-        peak_times=(*ARRAY, jnp.ones(3)), reference=(*COUNT_0, 2), centre=NUMBER,
+        peak_times=(*ARRAY, jnp.ones(3)), reference=(*COUNT_0, 2),
         period=(None, "x", {}, [1.0, 2.0], math.inf, -1.0, 0.0),
     )  # fmt: skip
 
 
 def _solvers() -> Iterator[Row]:
-    # No sweep at all is the diagonal alone.
-    sweeps = (*COUNT_0[1:], 1000)
+    sweeps = (*COUNT_0[1:], 1000)  # no sweep at all is the diagonal alone
     for name in ("Rodas4", "Rodas5P"):
         yield row(name, {}, sweeps=sweeps)
     yield row("Rodas4.with_sweeps", {}, Rodas4().with_sweeps, sweeps=sweeps)
     yield row("EventDriven", {}, order=(*COUNT[1:], 2, 41))
     arrays = (None, "x", {}, 3.0, [[math.nan]], [["x"]], [[1.0, 2.0, 3.0]])
+    matrices = {"a": [[0.0]], "c_transformed": [[1.0]], "dense": [[3.0, -1.0]]}
     yield row(
-        "RosenbrockTableau",
-        {
-            "gamma": 0.5, "a": [[0.0]], "c_transformed": [[1.0]], "c": [0.0, 1.0],
-            "d": [0.5, 0.5], "dense": [[3.0, -1.0]],
-        },
+        "RosenbrockTableau", {"gamma": 0.5, "c": [0.0, 1.0], "d": [0.5, 0.5], **matrices},
         gamma=POSITIVE, c=(None, "x", [math.nan, 0.0]), d=(None, "x", [0.5], 1.0),
-        **dict.fromkeys(("a", "c_transformed", "dense"), arrays),
+        **dict.fromkeys(matrices, arrays),
     )  # fmt: skip
     good = {"controller": dfx.PIDController(rtol=1e-6, atol=1e-7), "field": CHAIN}
-    yield row(
-        "SwitchingController", good, field=t.A_CHAIN, near=(*NUMBER, 1.0), landing=t.NONNEGATIVE,
-        controller=(None, "x", dfx.PIDController, dfx.ConstantStepSize()), crossing=POSITIVE,
-    )  # fmt: skip
+    controllers = (None, "x", dfx.PIDController, dfx.ConstantStepSize())
+    yield row("SwitchingController", good, near=(*NUMBER, 1.0), controller=controllers)

@@ -16,7 +16,7 @@ from jaxchain.model import paper_chain
 from jaxchain.result import SearchResult
 
 from . import table as t
-from .table import A_CHAIN, COUNT, NUMBER, POSITIVE, Row, Told, row, states
+from .table import A_CHAIN, NUMBER, POSITIVE, Row, Told, row, states
 
 CHAIN, DRY, ONE = paper_chain(3, 1.2, 1e-2), paper_chain(3, 1.2, None), paper_chain(1, 1.2, 1e-2)
 STATE, REST = (jnp.full(3, 2.0), jnp.zeros(3)), (jnp.zeros(3), jnp.zeros(3))
@@ -28,6 +28,11 @@ PAIRS = ("x", {}, 3.0, (1,), (2, 1), (math.nan, 1), ("a", "b"), (0, 1j))
 
 def branch(u, p, args):
     return u**2 - p
+
+
+def none(names):
+    """These arguments are tried in other rows."""
+    return dict.fromkeys(names.split(), ())
 
 
 def root(u, args):
@@ -44,25 +49,24 @@ def rows() -> Iterator[Row]:
 
 def _continuation() -> Iterator[Row]:
     one: dict[str, Any] = {"residual": root, "start": jnp.ones(1)}
+    three, text = (
+        Told(lambda u, args: jnp.ones(3), r"\(3,\)"),
+        Told(lambda u, args: "text", "'text'"),
+    )
     yield row(
         "newton", one, start=VECTOR, weights=("x", {}, 3.0, [1.0, 1.0], [math.nan]),
-        residual=(
-            *t.FUNCTION, lambda u: u, Told(lambda u, args: jnp.ones(3), r"\(3,\)"),
-            Told(lambda u, args: "text", "'text'"),
-        ),
+        residual=(*t.FUNCTION, lambda u: u, three, text),
     )  # fmt: skip
     good = {"before": lambda x: x < 1, "low": jnp.zeros(()), "high": 1.0, "halvings": 3}
-    yield row("bisect", good, before=t.FUNCTION, low=END, high=END, halvings=t.COUNT_0)
+    yield row("bisect", good, low=END, high=END, halvings=t.COUNT_0)
     yield row(
         "continue_branch", {"residual": branch, "start": jnp.ones(1), "parameter": 1.0},
-        start=VECTOR, parameter=NUMBER, bounds=(None, *t.USUAL["bounds"]), max_bend=POSITIVE,
+        start=VECTOR, parameter=NUMBER, bounds=(None, *t.USUAL["bounds"]), both=(),
         weights=("x", {}, 3.0, [1.0], [1.0, math.nan]), tests=("x", 3, {"a": 3}),
         value_and_jacobian=("x", 3), stop=("x", 3), progress=("x", 3),
     )  # fmt: skip
-    yield row(
-        "switch_branch", {"residual": branch, "point": None}, point=(None, "x", 3), residual=(),
-        step=(), tolerance=(),
-    )  # fmt: skip
+    good, unused = {"residual": branch, "point": None}, none("residual step tolerance both")
+    yield row("switch_branch", good, **unused, point=(None, "x", 3))
 
 
 def _cycles() -> Iterator[Row]:
@@ -73,7 +77,7 @@ def _cycles() -> Iterator[Row]:
     many = tuple(jnp.stack([part] * 2) for part in STATE)
     yield row(
         "find_limit_cycles", {"model": CHAIN, "guesses": (many, jnp.full(2, 6.0))},
-        model=(*A_CHAIN, NO_DRY), known=(None, 1.0, [STATE]), rounds=COUNT,
+        model=(*A_CHAIN, NO_DRY), known=(None, 1.0, [STATE]),
         guesses=(None, "x", {}, object, 0, (STATE, 6.0), (many, jnp.full(3, 6.0))),
         key=(None, "x", -1, 1.5),
     )  # fmt: skip
@@ -83,12 +87,12 @@ def _cycles() -> Iterator[Row]:
     # A cycle that is found stands for its model, state and period.
     yield row("continue_cycle", orbit, **own, **followed, events=("x", 3, {"a": 3}))
     direction = (*t.USUAL["direction"], "slip")
-    dry = {"images": (), "mass": (), "rtol": (), "model": (), "progress": ()}
+    dry = none("images mass rtol model progress")
     yield row("continue_cycle, dry", {**orbit, "model": DRY}, direction=direction, **dry)
     yield Row("continue_cycle, cycle", continue_cycle, {}, {"model": (*A_CHAIN, CHAIN)})
     yield row("cycle_symmetry", orbit, **own)
-    yield row("switch_cycle", {"branch": None, "point": None}, branch=(None, "x", 3), step=(),
-              bounds=())  # fmt: skip
+    good = {"branch": None, "point": None}
+    yield row("switch_cycle", good, branch=(None, "x", 3), step=(), bounds=())
     yield row("monodromy_matrix", orbit, **own)
     matrix = (None, "x", {}, 3.0, jnp.ones(2), jnp.ones((2, 3)))
     flow = Told([1.0, 2.0, 3.0], r"\(3,\)"), Told((1.0,), r"\(1,\)"), jnp.zeros(2)
@@ -109,10 +113,8 @@ def _equilibria() -> Iterator[Row]:
     yield row("find_hopf_point", own, **named, frequency=NUMBER, bounds=())
     over = ("x", 3.0, {}, {"belt_speed": [1.0], "width": [1.0]}, {"belt_speed": [1.0, 1.0]})
     yield row("complex_modes", {"model": CHAIN, "over": {"belt_speed": [1.0, 1.5]}}, over=over)
-    yield row(
-        "continue_equilibrium", own | {"bounds": (0.5, 1.5)}, **named, bounds=(None, *PAIRS),
-        direction=(), step=(), max_step=(), max_points=(),
-    )  # fmt: skip
+    good, unused = own | {"bounds": (0.5, 1.5)}, none("direction step max_step max_points")
+    yield row("continue_equilibrium", good, **named, **unused, bounds=(None, *PAIRS))
     fold, hopf = cycle_branch(1).special
     speeds = [{"belt_speed": pair} for pair in (None, *PAIRS)]
     point = made(
@@ -125,10 +127,8 @@ def _equilibria() -> Iterator[Row]:
         point=(None, "x", {}, 3.0, ONE), second=(*t.WORD, "belt_speed"),
         bounds=("x", 3.0, [], {"width": (0.1, 0.2)}, {3: (0.1, 0.2)}, *speeds),
     )  # fmt: skip
-    yield row(
-        "find_special_cycle", {"point": fold}, parameter=(), mass=(),
-        point=(None, "x", {}, 3.0, ONE, Told(hopf, "hopf")),
-    )  # fmt: skip
+    points = (None, "x", {}, 3.0, ONE, Told(hopf, "hopf"))
+    yield row("find_special_cycle", {"point": fold}, parameter=(), mass=(), point=points)
     yield row("hopf_belt_speed", {})
     infinite = Told((0, math.inf), "inf")
     yield row("hopf_points", {"chain": CHAIN}, belt_speeds=(None, *PAIRS, infinite))
@@ -174,16 +174,14 @@ def _inverse() -> Iterator[Row]:
         yield row(name, good, **readings)
     change = lambda chain, xi: chain.with_(damping_ratio=xi)
     more = {"change": change, "start": 0.05}
-    bad = {
-        "change": (*t.FUNCTION, lambda chain: chain, Told(lambda chain, xi: 3, "is 3")),
-        "start": t.TREE,
-    }
+    three = Told(lambda chain, xi: 3, "is 3")
+    bad = {"change": (*t.FUNCTION, lambda chain: chain, three), "start": t.TREE}
     yield row("identify", {**good, **more}, **bad, **readings)
     fit = made(Identification, theta=jnp.asarray(0.05), chain=DRY, standard_errors=0.01)
     yield row(
         "profile", {**good, "found": fit, "change": change, "place": 0}, **readings,
-        found=(3, {}), place=(1, -1, 0.5, "a"), reach=POSITIVE, points=(2, 2.5, "a"),
-        confidence=(0.0, 1.0, "a"), chain=(), mass=(),
+        found=(3, {}), place=(1, -1, 0.5, "a"), points=(2, 2.5, "a"), change=(), chain=(), mass=(),
+        confidence=(0.0, 1.0, "a"),
     )  # fmt: skip
     yield row(
         "design", {"chain": DRY, **more, "width_below": 0.1}, **bad, width_below=POSITIVE[1:],

@@ -47,24 +47,34 @@ SOLVERS = (
     "Rodas4", 3, {}, Rodas4, EventDriven, dfx.Tsit5, dfx.Euler(), dfx.KenCarp4(), math.nan,
 )  # fmt: skip
 MASSES = ("x", {}, 3, (), (0, 0), (-1,), (1.5,), (True,), (None,))
-# Of an argument with this name, unless its row says otherwise; None is good where it is the
-# default.
+# What most arguments with these names cannot be; a row says what others cannot, and () for none.
+_NAMED: dict[str, Sequence[Any]] = {
+    name: values
+    for names, values in (
+        ("chain model field", A_CHAIN),
+        ("throw keep_part error_bars", FLAG),
+        ("parameter ends block distribution pattern reading quantity", WORD),
+        ("lanes steps starts n capacity frames windows rounds repeats workers points halvings",
+         COUNT),
+        ("component oscillator middle tries", COUNT_0),
+        ("max_steps max_points", COUNT[1:]),  # None is no bound
+        ("tolerance step min_step max_step max_turn max_bend window radius reach crossing near "
+         "quiet_below threshold stands moves longest frames_per_second above agree interval",
+         POSITIVE),
+        ("transient landing", NONNEGATIVE),
+        ("t0 t1 belt_speed damping_ratio centre position", NUMBER),
+        ("residual function before change", FUNCTION),
+        ("masses", MASSES),
+    )
+    for name in names.split()
+}  # fmt: skip
 USUAL = {
-    **dict.fromkeys(("chain", "model"), A_CHAIN),
-    **dict.fromkeys(("throw", "progress", "keep_part", "error_bars"), FLAG),
-    **dict.fromkeys(("parameter", "ends", "block"), WORD),
-    **dict.fromkeys(("lanes", "steps", "starts"), COUNT),
-    # None is no bound.
-    **dict.fromkeys(("max_steps", "max_points"), COUNT[1:]),
-    **dict.fromkeys(("tolerance", "step", "min_step", "max_step", "max_turn"), POSITIVE),
+    **_NAMED,
     "rtol": (*POSITIVE, 2.0, 1e-300),
     "atol": (*POSITIVE, 1e-300),
-    "t1": NUMBER,
-    "t0": NUMBER,
     "mass": (*COUNT_0, 3),
-    "residual": FUNCTION,
     "solver": SOLVERS,
-    "optimiser": ("x", 3, optax.adam),
+    "optimiser": ("x", 3, {}, optax.adam),
     "direction": (None, "x", 0, 2, [1.0, 2.0, 3.0], math.nan, {}),
     "bounds": ("x", 3, (1,), (2, 1), (math.nan, 1), ("a", "b"), {}, (3.0, 4.0)),
     "images": ("x", 3, {}, (0,), (1, 0, 2), (math.nan, 1, 2), ("a", 1, 2)),
@@ -72,7 +82,7 @@ USUAL = {
     "ax": ("x", 3, []),
     "scales": ("x", 3),
     "seed": (None, "x", {}, 1.5, math.nan, [1, 2]),
-}
+}  # fmt: skip
 
 
 def states(n: int) -> tuple[Any, ...]:
@@ -141,8 +151,9 @@ def row(name: str, good: Mapping[str, Any], call: Any = None, /, **bad: Sequence
     """The row of a public name, or of what begins with one and `call` is; usual arguments too."""
     call = call or public()[name.partition(",")[0]]
     for argument, parameter in inspect.signature(call).parameters.items():
-        if argument in USUAL and argument not in bad:
-            bad[argument] = USUAL[argument]
+        words = str(parameter.annotation)
+        usual = FLAG if words in ("bool", str(bool)) else WORD if "Literal[" in words else ()
+        bad.setdefault(argument, USUAL.get(argument, usual))
         if argument in bad and parameter.default is None:
             bad[argument] = [value for value in bad[argument] if value is not None]
     return Row(name, call, good, bad)

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import time
-from decimal import Decimal
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -12,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from jaxchain.scenes import tables
 from jaxchain.scenes.building import build
-from jaxchain.scenes.files import MOST_SHOWN, SceneError, builtin_scenes
+from jaxchain.scenes.files import SceneError, builtin_scenes
 from jaxchain.scenes.scene import load_scene, schema
 from jaxchain.scenes.tables import Range
 
@@ -66,54 +65,32 @@ def test_every_built_in_scene_is_valid_and_so_is_a_copy_of_it(name, tmp_path):
 
 
 def test_fig3_holds_the_experiment_of_the_paper():
-    loaded: Any = load_scene("fig3").scene
-    ladder, single = loaded.experiment["ladder"], loaded.experiment["single"]
+    ladder: Any = load_scene("fig3").scene.experiment["ladder"]
     assert ladder.grid()["belt_speed"].tolist() == [round(1 + 0.05 * i, 2) for i in range(19)]
     assert ladder.grid()["excited"].tolist() == list(range(21))
     assert ladder.time.transient == 10000
-    assert (ladder.chain.n, ladder.chain.coupling, single.chain.n) == (20, 0.01, 1)
-    for experiment in (ladder, single):
-        numbers = {"mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5, "width": 1e-3}
-        law = {"law": "exponential_decay", **numbers}
-        assert experiment.chain.friction.model_dump() == law
-        assert experiment.chain.damping_ratio == 0.05
-    speeds = single.grid()["belt_speed"]
-    assert (speeds[0], speeds[-1], len(speeds)) == (0.1, 2.0, 39)
+    assert (ladder.chain.n, ladder.chain.coupling, ladder.chain.damping_ratio) == (20, 0.01, 0.05)
+    numbers = {"mu_static": 1.0, "mu_dynamic": 0.5, "v_ref": 0.5, "width": 1e-3}
+    assert ladder.chain.friction.model_dump() == {"law": "exponential_decay", **numbers}
 
 
 # What is changed, and the beginning of what is reported.
 MISTAKES = r"""
 chain.damping=0.1 -> chain.damping: is not a known key (did you mean `damping_ratio`?)
 chain.n=0 -> chain.n: must be at least 1, but is 0
-chain.n=4.0 -> chain.n: must be a valid integer, but is 4.0
-chain.n=1000000000000000000000000000000 -> chain.n: must be at most 100000000, but is 1000
-chain.damping_ratio=nan -> chain.damping_ratio: must be a finite number, but is nan
-chain.damping_ratio={} -> chain.damping_ratio: must be a number or a list, but is a tab
 chain.damping_ratio=-5e-324 -> chain.damping_ratio: must be 0 or at least 1e-15 in siz
 chain.coupling=[1,1,1,-1] -> chain.coupling[3]: must be at least 0, bu
-chain.stiffness=0 -> chain.stiffness: must be at least 1e-15, but is 0
 chain.ends=open -> chain.ends: must be 'cyclic' or 'free', but is "open"
-chain.friction.width=-1 -> chain.friction.width: must be at least 1e-15
 chain.friction.law=tanh -> chain.friction.law: must be one of "exponential_decay", "
-initial.kind=equation8 -> initial.kind: must be one of "equation_8", "equation_10", "e
-initial.pattern=in-phase -> initial.pattern: is not a known key; allowed: excited, blo
 sweep.belt_speed=1.5 -> sweep.belt_speed: must be a list or a range table, but is 1.5
 sweep.belt_speed=[] -> sweep.belt_speed: List should have at least 1 item
-sweep.belt_speed=[inf] -> sweep.belt_speed[0]: must be a finite number, but is inf
 sweep.belt_speed=[1,2,1] -> sweep.belt_speed: holds 1.0 more than once
 sweep.belt_speed.stop=0.5 -> sweep.belt_speed: is empty: a step of 0.1 does not lead fr
-sweep.belt_speed.count=3 -> sweep.belt_speed: must have either `step` or `count`
-sweep.belt_speed={start=1,step=2} -> sweep.belt_speed.stop: is missing
 sweep.belt_speed={start=1.0,stop=0.4,step=-0.7} -> sweep.belt_speed: has a step of -0.7
 sweep.belt_speed={start=1,stop=1,count=2} -> sweep.belt_speed: has two equal ends: `cou
 sweep.belt_speed.step=1e-9 -> sweep.belt_speed: would be 3e+08 values, and 1000000 are
-time.transient=-1 -> time.transient: must be at least 0, but is -1
 observe.stop=early -> observe.stop: must be 'never', 'quiet' or 'steady', but is "earl
-observe.quantities=["speed"] -> observe.quantities[0]: must be 'amplitude', 'energy' or
-observe.others=[{observer="Sticktime"}] -> observe.others[0].observer: must be one of
 observe.others=[{observer="PeakTimes",start=1,capacty=2}] -> observe.others[0].capacty: is not a k
-numerics.model=rough -> numerics.model: must be 'smoothed', 'dry' or 'both', but
-numerics.rtol=1 -> numerics.rtol: must be less than 1, but is 1
 description="a\u0007" -> description: must not hold the character '\x07', which
 chain.damping_ratio=[0.1] -> chain.damping_ratio: must be one number or one per mass, of shape (4,)
 chain.friction={law="exponential_decay",mu_static=1,mu_dynamic=0,v_ref=1} -> chain.friction.width:
@@ -121,7 +98,6 @@ chain.friction.mu_static=0.4 -> chain.friction.mu_static: must be at least `mu_d
 chain.n=100_000_000 -> observe: would keep 8e+08 numbers of 8 runs
 initial={kind="excited",oscillators=[1,5]} -> initial.oscillators: must lie in 1 ... 4 (`n`), but i
 sweep.excited=[0,5] -> sweep.excited: must lie in 0 ... 4, but is 5
-sweep.excited=[0.5] -> sweep.excited: must be a whole number, but is 0.5
 sweep.width=[0.01,0] -> sweep.width: must be positive and finite, but is 0.0: 1e-3 is usual
 sweep.mu_dynamic=[2] -> chain.friction.mu_static: must be at least `mu_dynamic` = 2.0, bu
 sweep.wdith=[1] -> sweep.wdith: is neither a number of the chain nor a parameter of `initial` or `v
@@ -130,7 +106,6 @@ observe.others=[{observer="Divergence"},{observer="Section",oscillator=5}] -> ob
 observe.others=[{observer='Divergence'},{observer='Divergence'}] -> observe: holds `Divergence`, wh
 observe.others=[{observer='FrontTrack',windows=100}] -> observe.others[0].windows: would be parts
 chain.friction={law="tabulated",file="nu.csv",width=1} -> chain.friction: has a `file` t
-chain.friction={law="tabulated",file=3,width=1} -> chain.friction.file: must be a valid
 chain.friction={law="tabulated",speed=[0.1,1],mu=[1,0.5],width=1} -> chain.friction: Arguments `spe
 chain.n=1 -> chain.coupling: must be left out: a single mass (`n` = 1)
 model={kind="LuGre",n=2} -> chain: cannot stand beside `model`
@@ -167,24 +142,6 @@ def test_all_mistakes_are_reported_at_once(scene_file):
     assert str(SceneError("a", ["b: c", "d"])) == "scene a has 2 errors:\n  b: c\n  d"
 
 
-def test_thousands_of_mistakes_are_a_screen(scene_file):
-    keys = ", ".join(f"k{i} = 1" for i in range(2001))
-    values = ", ".join(["-1"] * 10_001)
-    for wrong in (f"time={{{keys}}}", f"chain.coupling=[{values}]"):
-        error = error_of(scene_file, PAIR + wrong)
-        assert len(str(error).splitlines()) <= MOST_SHOWN + 2
-        assert str(error).endswith("more")
-
-
-def test_an_error_is_printable_and_short_whatever_the_file_holds(scene_file):
-    long = f"{'k' * 5000}=1"
-    text = str(error_of(scene_file, "a\x1b[31mb=1", f"title={'[' * 9}{']' * 9}", long))
-    assert text.replace("\n", "").isprintable()
-    assert '"a\\u001b[31mb": is not a known key' in text
-    assert "... (50" in text
-    assert len(text) < 4000
-
-
 def test_a_billion_runs_are_refused_at_once_and_with_a_remedy(scene_file):
     many = "{start=0.1,stop=1.0,count=1000}"
     sweeps = [f"{PAIR}sweep.{name}={many}" for name in ("belt_speed", "damping_ratio", "width")]
@@ -194,11 +151,10 @@ def test_a_billion_runs_are_refused_at_once_and_with_a_remedy(scene_file):
     begins = "experiment.pair.sweep: is 2e+09 runs (1000 belt_speed x 2 excited x "
     assert message.startswith(begins)
     assert "take fewer values" in message
-    assert "numerics.store = true" in message
 
 
 def test_a_store_takes_a_billion_runs_and_is_used_for_thousands(scene_file):
-    many, more = "{start=0.1,stop=1.0,count=1000}", "{start=0.1,stop=1.0,count=1_000_000}"
+    many = "{start=0.1,stop=1.0,count=1000}"
     speeds, damping = f"{PAIR}sweep.belt_speed={many}", f"{PAIR}sweep.damping_ratio={many}"
 
     def experiment(*overrides):
@@ -214,44 +170,20 @@ def test_a_store_takes_a_billion_runs_and_is_used_for_thousands(scene_file):
     peaks = f"{PAIR}observe.others=[{{observer='PeakTimes',capacity=1000000}}]"
     (message,) = error_of(scene_file, speeds, peaks).problems
     assert "observe.others[0]: would keep 8e+09 numbers of 2000 runs of 4 masses" in message
-    trillion = [f"{PAIR}sweep.{key}={more}" for key in ("belt_speed", "width")]
-    (message,) = error_of(scene_file, *trillion).problems
-    assert message.startswith("experiment.pair.sweep: is 2e+12 runs")
-
-
-def test_a_number_may_be_swept_instead_of_given_and_one_run_needs_no_sweep(scene_file):
-    loaded = load_scene(scene_file, [PAIR + "sweep.width=[0.1]", PAIR + "sweep.v_ref=[0.5, 0.6]"])
-    assert loaded.scene.experiment["pair"].lanes() == 16
-    one = [PAIR + "sweep={}", PAIR + "chain.belt_speed=1.5", PAIR + "initial.excited=1"]
-    grid = load_scene(scene_file, one).scene.experiment["pair"].grid()
-    assert {name: values.tolist() for name, values in grid.items()} == {"belt_speed": [1.5]}
 
 
 def test_experiments_have_names_of_groups_that_do_not_meet(scene_file):
-    names = ["../../../esc", "a/b", "", ".", "..", "-x", "a b", "ü", "x" * 65, "a\n", "_x"]
     adapter = TypeAdapter(tables.Name)
     assert adapter.validate_python("x-1_B") == "x-1_B"
-    for name in names:
+    for name in ["../../../esc", "a/b", "", "..", "-x", "a b", "ü", "x" * 65, "a\n", "_x"]:
         with pytest.raises(ValidationError):
             adapter.validate_python(name)
-    assert 'experiment."/a/b": must match pattern \'^[A-' in str(
-        error_of(scene_file, "experiment./a/b={}")
-    )
     table = SCENE.partition("[experiment.pair]")[2]
     for ending, message in (("dry", "runs of the other model"), ("cycles", "cycles")):
         second = table.replace("[experiment.pair.", f"[experiment.pair_{ending}.")
         text = f"{SCENE}[experiment.pair_{ending}]{second}"
         Path(scene_file).write_text(text, encoding="utf-8")
         assert f"is where the {message} of `pair` may go: rename it" in str(error_of(scene_file))
-
-
-def test_the_groups_of_a_scene_are_its_experiments_with_each_model(scene_file):
-    both = load_scene(scene_file, [PAIR + "numerics.model=both"]).scene
-    groups = [(g.name, g.of, g.model) for g in both.groups()]
-    assert groups == [("pair", "pair", "smoothed"), ("pair_dry", "pair", "dry")]
-
-
-DECIMALS = [float(Decimal("-3.7") + i * Decimal("0.011")) for i in range(801)]
 
 
 @pytest.mark.parametrize(
@@ -261,8 +193,6 @@ DECIMALS = [float(Decimal("-3.7") + i * Decimal("0.011")) for i in range(801)]
         ({"start": 1.0, "stop": 1.14, "step": 0.05}, [1.0, 1.05, 1.1]),
         ({"start": 0.3, "stop": 0.1, "step": -0.1}, [0.3, 0.2, 0.1]),
         ({"start": 0.0, "stop": 1.0, "count": 3}, [0.0, 0.5, 1.0]),
-        ({"start": 2, "stop": 2, "step": 1}, [2.0]),
-        ({"start": -3.7, "stop": 5.1, "step": 0.011}, DECIMALS),
     ],
 )
 def test_a_range_holds_exactly_the_decimals_one_would_write(given, values):
@@ -281,16 +211,12 @@ def test_the_schema_has_the_fields_of_the_classes_without_null_and_python():
         assert all(key.get("description") or name == "ends" for name, key in keys.items())
     bristles = parts["LuGreTable"]["properties"]["bristle_stiffness"]
     assert (bristles["default"], bristles["description"]) == (1e5, "sigma0")
-    assert parts["RateAndStateTable"]["properties"]["law"]["enum"] == ["aging", "slip"]
-    assert parts["SamplesTable"]["properties"]["interval"]["minimum"] > 0
 
 
 def test_a_model_of_kind_chain_is_the_same_as_a_chain(scene_file):
     text = SCENE.replace("chain = { n", 'model = { kind = "Chain", n')
     Path(scene_file).with_name("other.toml").write_text(text, encoding="utf-8")
-    one, other = (
-        build(load_scene(str(Path(scene_file).with_name(name))))["pair"]
-        for name in ("test.toml", "other.toml")
-    )
+    other = build(load_scene(str(Path(scene_file).with_name("other.toml"))))["pair"]
+    one = build(load_scene(scene_file))["pair"]
     assert str(one.model) == str(other.model)
     assert (one.observe, one.variables) == (other.observe, other.variables)

@@ -1,5 +1,7 @@
 """The event-driven solver against an independent one, closed forms and finite differences."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -71,13 +73,6 @@ def test_vibrating_cycle():
         assert abs(float(seen["stick"][0]) / 6 - expected.stick_time) < 1e-9, belt_speed
 
 
-@pytest.mark.long
-def test_the_chain_of_twenty_follows_the_witness():
-    chain = paper_chain(20, 1.3)
-    witness = against_witness(chain, equation_8(chain, 9), 120.0)
-    assert len(witness.events) > 300
-
-
 def test_six_masses_follow_the_witness_to_the_tolerance():
     for belt_speed in (1.5, -0.4, 0.0):  # all stick at first
         start = np.linspace(-0.5, 0.5, 6), np.full(6, belt_speed)
@@ -111,104 +106,67 @@ def test_any_chain_follows_the_witness():
     against_witness(chain, (rng.normal(size=n), rng.normal(size=n)), 20.0)
 
 
-def coulomb(x, belt_speed, mu, t1):
-    """One undamped mass from rest at x: (where it is and how long it stuck, the run's end)."""
-    chain = Chain(1, TanhFriction(Coulomb(mu), 1e-3), belt_speed=belt_speed, damping_ratio=0.0)
-    start = np.array([x]), np.zeros(1)
-    ended = run(chain, start, t1, observe=StickTime(3.0))
-    witness = integrate(numbers_of(chain), *start, t1)
-    np.testing.assert_allclose(ended.state, (witness.x, witness.v), atol=1e-10, rtol=0)
-    return float(ended.state[0][0]), float(ended.state[1][0]), float(ended.observed[0])
-
-
 def test_coulomb_friction_stops_a_mass_where_it_must():
     """On a resting belt the amplitude falls by 2 mu every half period, until |x| <= mu."""
-    for half_turns, x in ((1, -0.53), (2, 0.33), (3, -0.13)):
-        assert abs(coulomb(0.73, 0.0, 0.1, half_turns * np.pi)[0] - x) < 1e-12
-    x, v, _ = coulomb(0.73, 0.0, 0.1, 30.0)
-    assert abs(x + 0.07) < 1e-12
-    assert v == 0.0
+    chain = Chain(1, TanhFriction(Coulomb(0.1), 1e-3), belt_speed=0.0, damping_ratio=0.0)
+    for half_turns, x in ((1, -0.53), (2, 0.33), (3, -0.13), (10, -0.07)):
+        end = run(chain, (np.array([0.73]), np.zeros(1)), half_turns * np.pi).state
+        assert abs(float(end[0][0]) - x) < 1e-12
+    assert float(end[1][0]) == 0.0
 
 
-def dragged(length: float, time: float) -> tuple[MechanicalCells, float, float]:
-    """(10 x'' = 4000 (.01 t - x) - friction, in the frame of .01 t; first slip, its length), SI.
+def test_a_block_that_is_dragged_sticks_and_slips_in_any_units():
+    """A spring pulls a block of 98.1 N over a table, mu = .3 / .2: in the frame of .01 t, in SI,
 
-    A spring pulls a block of 98.1 N over a table, mu = .3 / .2; in other units of length and time.
+    10 x'' = 4000 (.01 t - x) - friction.
     """
-    speed, load = 0.01 * time / length, 98.1 * time**2 / length
-    block = MechanicalCells(
-        4000.0 * time**2, 10.0, friction=StaticKinetic(0.3, 0.2), belt_speed=-speed,
-        normal_load=load,
-    )  # fmt: skip
     # It turns round by pi and by what leads from the drop to the greatest elongation, twice.
-    slip = 2 / 20 * (np.pi - np.arctan(0.1 * 98.1 * 20 / (4000 * 0.01)))
-    return block, 0.3 * 98.1 / (4000 * 0.01) / time, slip / time
-
-
-@pytest.mark.parametrize("length", [1.0, 1e-6, 1e6])
-@pytest.mark.parametrize("time", [1.0, 1e-6, 1e6])
-def test_a_block_that_is_dragged_sticks_and_slips_in_any_units(length, time):
-    block, first, slip = dragged(length, time)
-    start = np.zeros(1), np.full(1, block.belt_speed)
-    t1 = first + 2.5 * slip
-    watch = StickTime(), Trajectory(np.array([first + slip, t1]))
-    done = simulate(block, start, t1, rtol=1e-12, observe=watch)
-    stuck, (landing, _) = done.observed[0][0], done.observed[1][0]
-    assert float((t1 - stuck) / slip) == pytest.approx(1.0, abs=1e-10)
-    # As far ahead of its rest as it was behind.
-    rest = -0.2 * 98.1 / 4000 / length
-    assert float((landing[0] - rest) / rest) == pytest.approx(-0.5, abs=1e-10)
-    assert int(done.steps) <= 60
-
-
-def test_derivatives_pass_through_releases_at_which_friction_falls():
-    """Of three masses, apart and let go together."""
-    apart = (np.array([0.5, -0.2, 1.0]), np.array([0.1, 0.25, 0.0])), 0.1
-    together = (np.full(3, 0.2), np.full(3, 0.1)), 0.0
-
-    @jax.jit
-    def end_and_slopes(numbers, start, coupling):
-        def end(numbers):
-            law = StaticKinetic(numbers[0], numbers[1])
-            stiffness = jnp.stack([jnp.asarray(1.0), 1.0 + coupling, 1.0 - coupling])
-            chain = Chain(3, law, numbers[2], 0.05, coupling=coupling, stiffness=stiffness)
-            moved = start[0].at[0].add(numbers[3]), start[1]
-            state = jnp.concatenate(run(chain, moved, 20.0, throw=False).state)
-            return state, state
-
-        return jax.jacfwd(end, has_aux=True)(numbers)[::-1]
-
-    numbers = np.array([1.1, 0.5, 0.3, 0.0])
-    for start, coupling in (apart, together):
-        slopes = end_and_slopes(numbers, start, coupling)[1]
-        for i, side in enumerate(1e-6 * np.eye(4)):
-            ends = [end_and_slopes(numbers + s * side, start, coupling)[0] for s in (1, -1)]
-            np.testing.assert_allclose(slopes[:, i], (ends[0] - ends[1]) / 2e-6, atol=1e-7)
+    first, slip = 0.3 * 98.1 / 40.0, 0.1 * (np.pi - np.arctan(0.1 * 98.1 * 20 / 40.0))
+    for length, time in ((1.0, 1.0), (1e-6, 1e6), (1e6, 1e-6)):
+        block = MechanicalCells(
+            4000.0 * time**2, 10.0, friction=StaticKinetic(0.3, 0.2),
+            belt_speed=-0.01 * time / length, normal_load=98.1 * time**2 / length,
+        )  # fmt: skip
+        start = np.zeros(1), np.full(1, block.belt_speed)
+        times = np.array([first + slip, first + 2.5 * slip]) / time
+        watch = StickTime(), Trajectory(times)
+        done = simulate(block, start, times[1], rtol=1e-12, observe=watch)
+        stuck, (landing, _) = done.observed[0][0], done.observed[1][0]
+        assert float((times[1] - stuck) * time / slip) == pytest.approx(1.0, abs=1e-10)
+        # As far ahead of its rest as it was behind.
+        rest = -0.2 * 98.1 / 4000 / length
+        assert float((landing[0] - rest) / rest) == pytest.approx(-0.5, abs=1e-10)
+        assert int(done.steps) <= 60
 
 
 def test_failures_are_marked():
     chain = paper_chain(6, 1.3)
     initial = equation_8(chain, 1)
-    result = run(chain, initial, 50.0, max_steps=20, throw=False)
-    assert result.outcome == "max_steps_reached"
-    assert int(result.steps) == 20
-    for damping_ratio, outcome in ((-5.0, "nonfinite"), (-0.5, "step_too_small")):
-        result = run(chain.with_(damping_ratio=damping_ratio), initial, 1e4, order=10, throw=False)
+    for damping_ratio, outcome in ((-0.5, "nonfinite"), (-2.0, "step_too_small")):
+        result = run(chain.with_(damping_ratio=damping_ratio), initial, 1e4, throw=False)
         assert result.outcome == outcome
         assert 0 < float(result.t) < 1e3
 
 
-# Derivatives.  Of a run of three masses by all of these, and by the time of its end.
-NUMBERS = ("belt_speed", "mu_static", "damping_ratio", "coupling", "v_ref")
+class DroppingLaw(AbstractFrictionLaw):
+    """Friction that falls at once where a mass is let go, and further with its speed."""
+
+    mu_static: jax.Array
+    v_ref: jax.Array
+    fall: jax.Array
+
+    def coefficient(self, speed: Any) -> Any:
+        return 0.5 + (self.mu_static - self.fall - 0.5) * jnp.exp(-speed / self.v_ref)
 
 
 @jax.jit
 def end_and_slopes(p, t1):
-    """(The state at t1, its derivatives by p: x, v, `NUMBERS` and stiffnesses, and by t1)."""
+    """(The state at t1, its derivatives by p: x, v, the numbers and stiffnesses, and by t1)."""
 
     def end(p, t1):
-        changes = dict(zip(NUMBERS, p[6:11], strict=True))
-        chain = paper_chain(3, width=None).with_(**changes, stiffness=p[11:])
+        belt_speed, mu_static, damping_ratio, coupling, v_ref, drop = p[6:12]
+        law = DroppingLaw(mu_static, v_ref, drop)
+        chain = Chain(3, law, belt_speed, damping_ratio, coupling=coupling, stiffness=p[12:])
         state = run(chain, (p[:3], p[3:6]), t1, throw=False).state
         state = jnp.concatenate(state)
         return state, state
@@ -217,8 +175,8 @@ def end_and_slopes(p, t1):
     return state, *slopes
 
 
-def of_three(x, v, belt_speed, coupling, stiffness=(1.0, 1.0, 1.0)):
-    return np.array([*x, *v, belt_speed, 1.0, 0.05, coupling, 0.5, *stiffness])
+def of_three(x, v, belt_speed, coupling, drop=0.1, stiffness=(1.0, 1.0, 1.0)):
+    return np.array([*x, *v, belt_speed, 1.0, 0.05, coupling, 0.5, drop, *stiffness])
 
 
 def assert_slopes(p, t1, h, which, **tolerances):
@@ -232,10 +190,10 @@ def assert_slopes(p, t1, h, which, **tolerances):
 def test_derivatives_pass_through_events():
     """Sticking and release move with all numbers; the state after them feels that."""
     x, v = excited_state(paper_chain(3, 1.2), 1)
-    assert_slopes(of_three(x, v, 1.2, 0.01), 15.0, 1e-5, range(14), atol=2e-6, rtol=1e-6)
+    assert_slopes(of_three(x, v, 1.2, 0.01), 15.0, 1e-5, range(15), atol=2e-6, rtol=1e-6)
     # An event of one mass moves the velocities of others by their rates.
-    p = of_three((1.4, -0.7, 1.1), (0.0, 0.5, -0.4), 1.4, 0.01, (1.0, 1.1, 1.3))
-    assert_slopes(p, 20.0, 1e-6, range(14), atol=1e-6, rtol=1e-5)
+    p = of_three((1.4, -0.7, 1.1), (0.0, 0.5, -0.4), 1.4, 0.01, 0.1, (1.0, 1.1, 1.3))
+    assert_slopes(p, 20.0, 1e-6, range(15), atol=1e-6, rtol=1e-5)
 
 
 def test_derivatives_pass_through_events_that_fall_together():
@@ -355,7 +313,7 @@ def test_a_law_that_is_constant_but_near_rest_is_not_overlooked():
         cells = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=1.0)
         return run(cells, (jnp.array([1.8]), jnp.zeros(1)), 20.0, 1e-6, atol=1e-7).state
 
-    speeds = (0.5, 0.1, 0.03)
+    speeds = (0.1, 0.03)
     found = np.stack(jax.jit(jax.vmap(end))(np.array(speeds)))[..., 0]
     for k, speed in enumerate(speeds):
         # In the frame of the belt, x = X + t.
@@ -395,7 +353,7 @@ def test_steps_end_where_a_force_chooses_another_case():
 def test_the_derivative_in_an_end_that_falls_together_with_an_event():
     """At r = -p mu_st the belt, which has carried the mass from x0, lets it go at the end."""
     slides = 0.5 + 0.5 * np.exp(-2.0 * 1.2)
-    p = of_three((0.1, slides, slides), (1.2, 0.0, 0.0), 1.2, 0.0)
+    p = of_three((0.1, slides, slides), (1.2, 0.0, 0.0), 1.2, 0.0, drop=0.0)
     release = 1.0 - 2.0 * 0.05 * 1.2
     t1 = (release - 0.1) / 1.2
     for ulps in (-2, -1, 0, 1, 2):

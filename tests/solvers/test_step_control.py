@@ -46,7 +46,7 @@ def stiff_run(solver, switching, span=30.0):
     return jax.jit(jax.vmap(run, in_axes=(0, None)))
 
 
-SPEEDS = jnp.linspace(1.2, 1.4, 8)
+SPEEDS = jnp.linspace(1.2, 1.4, 4)
 
 
 def test_the_error_is_that_of_the_tolerance_however_loose():
@@ -62,52 +62,6 @@ def test_the_error_is_that_of_the_tolerance_however_loose():
     )
     assert own_steps.sum() <= 0.85 * steps.sum()
     assert own_rejected.sum() <= 0.7 * rejected.sum()
-
-
-def test_only_a_step_that_is_kept_bounds_the_next_one():
-    chain = paper_chain(3, belt_speed=1.5, width=1e-3)
-    inner, still = pid(1e-6), jnp.zeros(3)
-    own = SwitchingController(inner, chain)
-    # All masses come near the belt, at an acceleration of 20: .01 is left, for 5e-4 time units.
-    y0, y1 = (still, jnp.full(3, -0.5)), (still, jnp.full(3, 1.49))
-    none: Any = None
-
-    @jax.jit
-    def after(errors):
-        _, memory = inner.init(none, 0.0, 1.0, y0, 0.1, none, none, 4)
-        given = (0.0, 0.1, y0, y1, none, (jnp.full(3, 1e-9), errors), 4, memory)
-        return *inner.adapt_step_size(*given)[:3], own.adapt_step_size(*given)[2]
-
-    for error in (1e-7, 1.0):
-        kept, start, plain, bounded = after(np.full(3, error))
-        assert bool(kept) == (error < 1e-3)
-        assert (bounded < plain) if kept else (bounded == plain)
-        assert not kept or 1e-4 < bounded - start < 1e-3
-
-
-class MovingBelt(AbstractOscillators):
-    """v' = -0.1 v - x - tanh((v - acceleration t) / width): masses on a belt that gains speed."""
-
-    acceleration: jax.Array
-    width: jax.Array
-    springs: None = None
-
-    def _friction(self, t, v):
-        return -jnp.tanh((v - self.acceleration * t) / self.width)
-
-    def local_force(self, t, x, v):
-        return self._friction(t, v) - 0.1 * v
-
-    def stiffness_diagonal(self, n):
-        del n
-        return jnp.asarray(1.0)
-
-    def switching(self, t, v):
-        return v - self.acceleration * t, self.width
-
-
-def moving_belt(acceleration) -> MovingBelt:
-    return MovingBelt(acceleration=jnp.asarray(acceleration), width=jnp.asarray(0.01))
 
 
 def next_step(field, w0, w1, *, t=1.0, h=0.1, error=0.0, kept=True, bend=0.0, **constants: Any):
@@ -147,21 +101,22 @@ def test_the_next_step_is_bounded_by_the_first_mass_to_switch():
     own: Any = {"near": 2.0, "landing": 1.0, "crossing": 0.5}
     assert next_step(chain, [0.09, 9.0], [0.04, 9.0], **own) == pytest.approx(0.03 / 0.5)
     assert next_step(chain, [0.06, 9.0], [0.01, 9.0], **own) == pytest.approx(0.005 / 0.5)
+    # At a = 20, of a step that is kept and of one that is not: a fifth, of PID control alone.
+    assert next_step(chain, [-2.3, 9.0], [-0.3, 9.0]) == pytest.approx((0.3 - 0.054) / 20)
+    rejected = next_step(chain, [-2.3, 9.0], [-0.3, 9.0], error=1.0, kept=False)
+    assert rejected == pytest.approx(0.02)
 
 
-@pytest.mark.parametrize(
-    ("w0", "w1"),
-    [
+def test_all_other_motions_are_left_alone():
+    chain = paper_chain(2, belt_speed=0.0, width=1e-2)
+    for w0, w1 in (
         ([-0.2, 0.3], [-0.3, 0.4]),  # both move away
         ([0.0, 0.0], [0.0, 0.0]),  # both rest on the belt
         ([-1e-6, 0.0], [-1e-6 - 1e-18, 0.0]),  # creeping under a growing force
         ([-1e-6, -1e-200], [-1e-6 + 1e-18, -1e-250]),  # under a falling one: no bound in reach
         ([-0.3, 0.1], [0.2, -0.3]),  # both have just passed
-    ],
-)
-def test_all_other_motions_are_left_alone(w0, w1):
-    chain = paper_chain(2, belt_speed=0.0, width=1e-2)
-    assert next_step(chain, w0, w1) == pytest.approx(1.0)
+    ):
+        assert next_step(chain, w0, w1) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("bend", [0.4, -2.0])
@@ -187,31 +142,44 @@ def test_the_error_of_a_mass_counts_more_while_it_leaves_the_belt():
     next_step(chain, [-0.02, -9.0], [-0.07, -9.0], error=1e-6)  # fast
 
 
+class MovingBelt(AbstractOscillators):
+    """Masses on a belt that gains speed."""
+
+    acceleration: jax.Array
+    springs: None = None
+
+    def local_force(self, t, x, v):
+        return -jnp.tanh((v - self.acceleration * t) / 0.01)
+
+    def stiffness_diagonal(self, n):
+        return jnp.ones(())
+
+    def switching(self, t, v):
+        return v - self.acceleration * t, jnp.asarray(0.01)
+
+
 @pytest.mark.parametrize("direction", [1, -1])
 def test_a_surface_that_moves_is_met_where_it_will_be(direction):
     # The masses keep their velocity; the belt, gaining speed 0.5 in a time unit, comes to meet
     # them, and backward in time leaves them.
-    field = moving_belt(0.5)
-    start = np.asarray(field.switching(direction * 1.0, jnp.zeros(2))[0])
-    y = np.zeros(2), 0.3 * direction - start  # w = 0.3 direction at t0
-    _, begin, end = adapted(field, direction, 1.0, 1.1, y, y, (np.zeros(2),) * 2)
+    y = np.zeros(2), np.full(2, direction * 0.8)  # w = 0.3 direction at t0
+    errors = (np.zeros(2),) * 2
+    _, begin, end = adapted(
+        MovingBelt(acceleration=jnp.asarray(0.5)), direction, 1.0, 1.1, y, y, errors
+    )
     # In either direction |w| shrinks at 0.5 from 0.25 after the step.
     assert end - begin == pytest.approx((0.25 - 0.054) / 0.5)
 
 
-@pytest.mark.parametrize(("belt_speed", "width"), [(1e-3, 1e-2), (1.3, 1e-8)])
-def test_a_sticking_mass_does_not_stall_the_run(belt_speed, width):
+def test_a_sticking_mass_does_not_stall_the_run():
     # It starts exactly at the belt's speed, sticks until its spring pulls it off, and comes back.
-    chain = paper_chain(1, belt_speed, width)
-    y0 = jnp.array([-0.9]), jnp.asarray([belt_speed])
-    span = 30.0 if belt_speed > 0.01 else 1800.0
+    chain = paper_chain(1, 1.3, 1e-8)
+    y0 = jnp.array([-0.9]), jnp.array([1.3])
     plain, own = (
-        solve(chain, Rodas4(), controller, y0, span, max_steps=100_000)
+        solve(chain, Rodas4(), controller, y0, 30.0, max_steps=100_000)
         for controller in (pid(dtmax=0.5), SwitchingController(pid(dtmax=0.5), chain))
     )
     assert int(own.stats["num_steps"]) <= 2.2 * int(plain.stats["num_steps"])
-    # Without the control the second error is 0.1 and 1.3 for a width of 1e-8.
-    if width < 1e-4 and belt_speed > 0.01:
-        dry = simulate(chain, y0, span, solver=EventDriven(order=6), rtol=1e-9)
-        end = np.stack(own.ys)[:, 0]
-        np.testing.assert_allclose(end, np.stack(dry.state), atol=5e-4)
+    # Without the control the error is 1.3.
+    dry = simulate(chain, y0, 30.0, solver=EventDriven(order=6), rtol=1e-9)
+    np.testing.assert_allclose(np.stack(own.ys)[:, 0], np.stack(dry.state), atol=5e-4)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
-import h5py
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -25,7 +24,6 @@ from jaxchain import (
     paper_chain,
 )
 from jaxchain.model import AbstractFrictionLaw
-from jaxchain.model.tabulated import TabulatedFriction
 from jaxchain.observers.base import AbstractObserver, Variable
 from jaxchain.result import NAMES
 from jaxchain.sweeps import ensemble as module
@@ -72,10 +70,6 @@ def own(law):
     return Chain(2, law, belt_speed=1.4, coupling=0.01)
 
 
-def tabulated(last):
-    return own(TabulatedFriction([0.0, 0.5, 1.0, 2.0], [1.0, 0.8, 0.7, last]))
-
-
 def start(constant):
     """A function that holds a number, an array of NumPy or one of JAX."""
     return lambda chain: (jnp.zeros(chain.n) + constant, jnp.zeros(chain.n))
@@ -93,36 +87,21 @@ def numbers(scale):
     return scale * np.arange(1.0, 3.0)
 
 
-def pair(scale):
-    """The same program, with other numbers."""
-    return jnp.asarray(numbers(scale)), jnp.zeros(2)
-
-
 # Before, after, and what has changed.
 CHANGES = {
     "rtol": ({"rtol": 1e-6}, {"rtol": 1e-7}, r"solver.rtol was 1e-06 and is 1e-07"),
-    "atol": ({"atol": 1e-6}, {"atol": 1e-7}, r"solver.atol was 1e-06 and is 1e-07"),
     "max_step": ({}, {"max_step": 0.1}, r"solver.max_step was 0.5 and is 0.1"),
     "t1": ({}, {"t1": 21.0}, r"t1 was 20.0 and is 21.0"),
-    "t0": ({}, {"t0": 1.0}, r"t0 was 0.0 and is 1.0"),
     "steps": ({}, {"max_steps": 900}, r"max_steps was absent and is 900"),
     "segments": ({}, {"segments": 2}, r"segments was absent and is 2"),
     "lanes": ({}, {"lanes": 5}, r"lanes was 4 and is 5"),
     "accuracy": (
         smoothed(accuracy=1e-2), smoothed(accuracy=1e-3), r"accuracy was 0.01 and is 0.001"
     ),
-    "solver": (
-        smoothed(), smoothed(solver=jaxchain.Rodas4(sweeps=None)), r"solver.*has changed|solver"
-    ),
     "solver's setting": (
         {"solver": EventDriven()}, {"solver": EventDriven(order=8)}, r"solver"
     ),
     "n": ({}, {"model": paper_chain(3, 1.4, None)}, r"chain.n was 2 and is 3"),
-    "ends": (
-        {"model": Chain(2, CHAIN.law, 1.4, coupling=0.1)},
-        {"model": Chain(2, CHAIN.law, 1.4, coupling=0.1, ends="free")},
-        r"chain.ends was cyclic and is free",
-    ),
     "chain number": (
         {}, {"model": CHAIN.with_(damping_ratio=0.04)}, r"damping_ratio was 0.05 and is 0.04"
     ),
@@ -131,16 +110,8 @@ CHANGES = {
         {"model": paper_chain(9).with_(stiffness=np.linspace(1.0, 1.2, 9))},
         r"chain.stiffness has changed",
     ),
-    "law's number": (
-        {}, {"model": CHAIN.with_(mu_static=1.1)}, r"chain.mu_static was 1.0 and is 1.1"
-    ),
     "own law": ({"model": own(Law())}, {"model": own(Other())}, r"friction.curve has changed"),
-    "table": ({"model": tabulated(0.6)}, {"model": tabulated(0.65)}, r"friction.curve has chang"),
-    "width": (
-        smoothed(), {"model": paper_chain(2, 1.4, 2e-2)}, r"chain.width was 0.01 and is 0.02"
-    ),
     "smoothed": ({}, smoothed(), r"chain.width was absent and is 0.01"),
-    "observer": ({}, {"observe": PeakTimes(3)}, r"observers.1.kind was Amplitude"),
     "another observer": (
         {}, {"observe": [Amplitude(window=6.0), PeakTimes(3)]},
         r"observers.1.window was 5.0 and is 6.0;.*observers.2.kind was absent",
@@ -152,10 +123,6 @@ CHANGES = {
         {"observe": Mine(lambda x: x)}, {"observe": Mine(lambda x: -x)},
         r"observers.1.code has changed",
     ),
-    "pair": (
-        {"initial": pair(1.0), "over": SPEEDS}, {"initial": pair(2.0), "over": SPEEDS},
-        r"initial and vary has changed",
-    ),
     **{
         f"captured {kind.__name__}": (
             {"initial": start(kind(1.0)), "over": SPEEDS},
@@ -164,11 +131,6 @@ CHANGES = {
         for kind in (float, jnp.asarray, numbers)
     },
     "vary": ({"vary": loose(0.1)}, {"vary": loose(0.2)}, r"initial and vary has changed"),
-    "vary's springs": (
-        {"vary": lambda chain: chain.with_(coupling=0.1)},
-        {"vary": lambda chain: Chain(2, chain.law, chain.belt_speed, coupling=0.1, ends="free")},
-        r"initial and vary has changed",
-    ),
     "vary's choice": (
         {"vary": lambda chain: eqx.tree_at(lambda c: c.stiffness, chain, chain.damping_ratio)},
         {"vary": lambda chain: eqx.tree_at(lambda c: c.stiffness, chain, chain.belt_speed)},
@@ -176,10 +138,6 @@ CHANGES = {
     ),
     "dimension": (
         {}, {"over": OVER | {"mu_static": [1.0]}}, r"over.mu_static was absent and is"
-    ),
-    "order": (
-        {}, {"over": dict(reversed(OVER.items()))},
-        r"dimensions was \['belt_speed', 'excited'\] and is \['excited', 'belt_speed'\]",
     ),
     "together": (
         {"over": {"excited": OVER["excited"], "set": {"belt_speed": [1.0]}}},
@@ -218,18 +176,15 @@ def test_the_tolerance_that_accuracy_picks_is_the_tightest_of_all_blocks(monkeyp
     assert known(**smooth)["solver"] == whole
 
 
-def test_so_is_another_version_of_the_code_or_of_a_library(usual, monkeypatch):
+def test_so_is_other_code_of_the_package_of_a_library_or_behind_an_observer(usual, monkeypatch):
+    before = known(observe=Mine(abs))
+    monkeypatch.setitem(globals(), "FACTOR", 2.0)
+    assert differences(before, known(observe=Mine(abs))) == ["observers.1.code has changed"]
     newer = module.versions() | {"jax": "99.0", "python": "4"}
     monkeypatch.setattr(module, "code", lambda: "sha256 other")
     monkeypatch.setattr(module, "versions", lambda: newer)
     found = "; ".join(differences(usual, known()))
     assert re.search(r"versions.jax was .* and is 99.0; code of jaxchain has changed", found)
-
-
-def test_a_number_that_an_observer_finds_elsewhere_counts(monkeypatch):
-    before = known(observe=Mine(abs))
-    monkeypatch.setitem(globals(), "FACTOR", 2.0)
-    assert differences(before, known(observe=Mine(abs))) == ["observers.1.code has changed"]
 
 
 def test_what_decides_nothing_may_change(usual):
@@ -244,7 +199,7 @@ def test_what_decides_nothing_may_change(usual):
     # The same, made anew.
     for make in (
         lambda: {"initial": start(numbers(1.0)), "over": SPEEDS},
-        lambda: {"model": tabulated(0.6), "observe": Mine(abs), "vary": loose(0.1)},
+        lambda: {"model": own(Law()), "observe": Mine(abs), "vary": loose(0.1)},
     ):
         assert differences(known(**make()), known(**make())) == []
 
@@ -275,13 +230,12 @@ def test_all_of_the_package_that_a_lane_runs_is_in_the_code_version():
 COUNTS = ("active_count", "steps", "rejected")
 
 
-@pytest.fixture
-def three():
-    """A lane that ended well, one that failed, and one that was interrupted."""
-    chain, watch = paper_chain(4), Amplitude(window=20.0)
+def test_counts_are_integers_on_disk_and_missing_again_when_read(tmp_path):
+    """Of a lane that ended well, one that failed, and one that was interrupted."""
+    chain = paper_chain(4)
     values = np.full((3, 4), np.nan)
     values[0] = 1.5, 1.5, 0.1, 0.0
-    observed = jax.vmap(lambda one: watch.label(one, chain))(values)
+    observed = jax.vmap(lambda one: Amplitude(window=20.0).label(one, chain))(values)
     records = {
         "result": np.array([NAMES.index(r) for r in ("successful", "nonfinite", "interrupted")]),
         "end_time": np.array([60.0, 7.0, np.nan]),
@@ -289,20 +243,13 @@ def three():
         "rejected": np.array([30, 10, 0]),
         "observed": jax.tree.map(np.asarray, observed),
     }
-    return to_dataset(records, {"excited": {"excited": np.arange(3)}}, chain, chain.n, {})
-
-
-def test_counts_are_integers_on_disk_and_missing_again_when_read(three, tmp_path):
+    three = to_dataset(records, {"excited": {"excited": np.arange(3)}}, chain, chain.n, {})
     three.to_netcdf(tmp_path / "r.nc", engine="h5netcdf")
     three.to_zarr(tmp_path / "r.zarr", consolidated=False)
-    with h5py.File(tmp_path / "r.nc") as file:
-        for name in COUNTS:
-            stored: Any = file[name]
-            assert np.issubdtype(stored.dtype, np.integer)
-            assert stored.attrs["_FillValue"] == -1
-    raw = xr.open_zarr(tmp_path / "r.zarr", consolidated=False, mask_and_scale=False)
-    assert all(np.issubdtype(raw[count].dtype, np.integer) for count in COUNTS)
-    again = xr.open_zarr(tmp_path / "r.zarr", consolidated=False).load()
-    xr.testing.assert_identical(again, three)
-    with xr.open_dataset(tmp_path / "r.nc", engine="h5netcdf") as file:
-        xr.testing.assert_identical(file.load(), three)
+    kinds: Any = (("r.nc", {"engine": "h5netcdf"}), ("r.zarr", {"consolidated": False}))
+    for name, options in kinds:
+        with xr.open_dataset(tmp_path / name, mask_and_scale=False, **options) as raw:
+            assert all(np.issubdtype(raw[count].dtype, np.integer) for count in COUNTS)
+            assert all(raw[count].attrs["_FillValue"] == -1 for count in COUNTS)
+        with xr.open_dataset(tmp_path / name, **options) as again:
+            xr.testing.assert_identical(again.load(), three)

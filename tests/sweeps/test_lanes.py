@@ -14,6 +14,7 @@ import pytest
 
 from jaxchain import Amplitude, equation_8, paper_chain, sweep
 from jaxchain.localization import mistuned_chain
+from jaxchain.sweeps import programs as programs_of_lanes
 from jaxchain.sweeps.lanes import RunStarts, chain_of_run
 from jaxchain.sweeps.programs import KEPT_STARTS, program, start_program, starter
 
@@ -53,25 +54,23 @@ def test_a_partial_of_the_same_function_and_numbers_compiles_nothing():
     assert not np.array_equal(amplitude(size=size), once)
 
 
-def test_the_programs_of_few_functions_are_kept():
+def test_the_programs_of_few_functions_are_kept(monkeypatch):
     """JAX lets go of what it compiled, and of the functions with all that they hold."""
-    alive = []
+    assert start_program.cache_info().maxsize == KEPT_STARTS
+    few = functools.lru_cache(maxsize=2, typed=True)(start_program.__wrapped__)
+    monkeypatch.setattr(programs_of_lanes, "start_program", few)
+    alive, values = [], {"k": jnp.arange(2.0)}
+    for factor in range(1, 5):
 
-    def start(factor):
-        def initial(chain, k) -> Any:
+        def initial(chain, k, factor=factor) -> Any:
             return factor * k, 0.0
 
         alive.append(weakref.ref(initial))
-        values = {"k": jnp.arange(2.0)}
-        return starter(jax.devices()[0], RunStarts(CHAIN, initial, n=CHAIN.n), values)(
-            values
-        ).state[0]
-
-    for factor in range(1, KEPT_STARTS + 4):
-        assert start(factor).tolist() == [[0.0] * 2, [factor] * 2]
+        start = starter(jax.devices()[0], RunStarts(CHAIN, initial, n=CHAIN.n), values)
+        assert start(values).state[0].tolist() == [[0.0] * 2, [factor] * 2]
+    del initial, start  # pyright: ignore[reportPossiblyUnboundVariable]
     gc.collect()
-    assert sum(function() is not None for function in alive) <= KEPT_STARTS
-    assert start_program.cache_info().currsize <= KEPT_STARTS
+    assert sum(function() is not None for function in alive) <= 2
 
 
 def faster(chain, u):
