@@ -109,7 +109,8 @@ def page(table: pd.DataFrame) -> str:
     text = shown(table)
     cells = [list(text), ["---"] * text.shape[1], *text.to_numpy().tolist()]
     lines = ["| " + " | ".join(line) + " |" for line in cells]
-    return "\n".join(["# Performance", "", str(__doc__), machine(), "", *lines, ""])
+    index = ["```{index} benchmark, timing, speed comparison, fast, how fast", "```", ""]
+    return "\n".join(["# Performance", "", *index, str(__doc__), machine(), "", *lines, ""])
 
 
 def machine() -> str:

@@ -6,6 +6,7 @@ import os
 import re
 import shlex
 import signal
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -342,3 +343,13 @@ def test_without_a_command_it_prints_its_help(workplace, capsys):
         with pytest.raises(SystemExit) as stopped:
             main([option])
         assert (stopped.value.code, capsys.readouterr().out) == (0, told)
+
+
+@pytest.mark.long
+def test_compiled_programs_are_kept_in_the_cache_folder_by_default(workplace):
+    env = {k: v for k, v in os.environ.items() if not k.startswith("JAX_COMPILATION")}
+    env |= {"XDG_CACHE_HOME": str(workplace / "cache")}
+    command = [sys.executable, "-m", "jaxchain", "run", "two.toml", "--no-plot", "--quiet"]
+    for more, kept in ((["--no-cache"], False), ([], True)):
+        subprocess.run([*command, *more], env=env, check=True)
+        assert any((workplace / "cache").rglob("jaxlib-*/*-cache")) is kept

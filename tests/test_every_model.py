@@ -1,10 +1,11 @@
-"""What every function says of every model: a mass with two contacts, in closed form and by SciPy.
+"""The table function x model: what every function says of every model.
 
-x'' + c x' + k x = F(x' - v_d), F = -mu(|w|) sign(w) or -mu(|w|) tanh(w / eps),
-mu(s) = 0.5 + 0.5 exp(-s / 0.5).  SciPy stops at every event.
+First the same mass as a chain and as cells, dry and smoothed, and forced:
 
-Other tests hold chains, cells with one contact and forced cells to the same.  Then what needs a
-width says in words what to do with a dry chain, and what a subclass may define.
+x'' + 0.1 x' + k x = F(x' - v_d) + f cos(omega t), F = -mu(|w|) sign(w) or -mu(|w|) tanh(w / eps),
+mu(s) = 0.5 + 0.5 exp(-s / 0.5).  The witness is SciPy, which stops at every event.
+
+Then what needs a width says in words what to do with a dry chain, and what a subclass may define.
 """
 
 # pyright: reportArgumentType=false, reportCallIssue=false, reportIncompatibleMethodOverride=false
@@ -23,6 +24,19 @@ from scipy.optimize import brentq
 from synthetic import cycle_branch
 
 import jaxchain as jc
+from jaxchain import (
+    Amplitude,
+    Chain,
+    ExponentialDecay,
+    StickTime,
+    TanhFriction,
+    continue_cycle,
+    find_limit_cycle,
+    lyapunov_spectrum,
+    simulate,
+    sweep,
+    verdict,
+)  # fmt: skip
 from jaxchain.basins import AbstractClassifier, AbstractRegion
 from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
 from jaxchain.cycles.floquet import liouville_determinant
@@ -39,45 +53,61 @@ from jaxchain.observers import AbstractObserver, Variable
 from jaxchain.plotting.motions import loop
 from jaxchain.solvers import AbstractStructuredRosenbrock
 
-LAW, WIDTH, SPEED, END = jc.ExponentialDecay(1.0, 0.5, 0.5), 1e-2, 1.3, 30.0
-# The second contact bears no load.
-DRY, SMOOTHED = (
-    MechanicalCells(
-        1.0, damping=0.1, contacts=[Contact(1.0, law, 1.0, SPEED), Contact(1.0, law, 0.0, -SPEED)]
-    )
-    for law in (LAW, jc.TanhFriction(LAW, WIDTH))
-)
-FORCED = MechanicalCells(1.0, damping=0.1, friction=LAW, force=1.5, frequency=0.7)
-BELT = "contacts[0].belt_speed"
+LAW, WIDTH, SPEED = ExponentialDecay(1.0, 0.5, 0.5), 1e-2, 1.3
+FORCE, FREQUENCY = 1.5, 0.7
+SMOOTH = TanhFriction(LAW, WIDTH)
+MODELS = {
+    "chain, dry": Chain(1, LAW, SPEED, 0.05),
+    "chain, smoothed": Chain(1, SMOOTH, SPEED, 0.05),
+    "cells, dry": MechanicalCells(1.0, damping=0.1, friction=LAW, belt_speed=SPEED),
+    "cells, smoothed": MechanicalCells(1.0, damping=0.1, friction=SMOOTH, belt_speed=SPEED),
+    "cells, dry, forced": MechanicalCells(
+        1.0, damping=0.1, friction=LAW, force=FORCE, frequency=FREQUENCY
+    ),
+    # The second contact bears no load.
+    "contacts, dry": MechanicalCells(
+        1.0, damping=0.1, contacts=[Contact(1.0, LAW, 1.0, SPEED), Contact(1.0, LAW, 0.0, -SPEED)]
+    ),
+    "contacts, smoothed": MechanicalCells(
+        1.0,
+        damping=0.1,
+        contacts=[Contact(1.0, SMOOTH, 1.0, SPEED), Contact(1.0, SMOOTH, 0.0, -SPEED)],
+    ),
+}
 START = jnp.array([1.9]), jnp.array([0.2])
+END = 30.0
 
 
 def mu(s):
     return 0.5 + 0.5 * np.exp(-s / 0.5)
 
 
-def by_scipy(dry=True, t1=END, stiffness=1.0, damping=0.1, start=(1.9, 0.2), speed=SPEED):
-    """(x, v) at t1, and the time for which the mass sticks."""
+def by_scipy(
+    name, t1=END, stiffness=1.0, damping=0.1, start=(1.9, 0.2), t0=0.0, speed=SPEED, force=FORCE
+):
+    """(t, x, v) at t1, the time for which the mass sticks, and the times at which it lets go."""
+    forced = "forced" in name
+    speed, force = (0.0, force) if forced else (speed, 0.0)
 
-    def pull(y):
-        return -stiffness * y[0] - damping * y[1]
+    def pull(t, y):
+        return force * np.cos(FREQUENCY * t) - stiffness * y[0] - damping * y[1]
 
     def rate(t, y, mode):
         w = y[1] - speed
         if mode is None:
-            return y[1], pull(y) - mu(abs(w)) * np.tanh(w / WIDTH)
-        return (speed, 0.0) if mode == 0 else (y[1], pull(y) - mode * mu(mode * w))
+            return y[1], pull(t, y) - mu(abs(w)) * np.tanh(w / WIDTH)
+        return (speed, 0.0) if mode == 0 else (y[1], pull(t, y) - mode * mu(mode * w))
 
     def lands(t, y, mode):
         return mode * (y[1] - speed)
 
     def lets_go(t, y, mode):
-        return 1.0 - abs(pull(y))
+        return 1.0 - abs(pull(t, y))
 
     for event in (lands, lets_go):
         vars(event).update(terminal=True, direction=-1)
-    t, y, stuck = 0.0, np.array(start), 0.0
-    mode = np.sign(y[1] - speed) if dry else None
+    t, y, stuck, released = t0, np.array(start), 0.0, []
+    mode = None if "smoothed" in name else np.sign(y[1] - speed)
     while t < t1:
         events = None if mode is None else lets_go if mode == 0 else lands
         method = "Radau" if mode is None else "DOP853"
@@ -87,168 +117,241 @@ def by_scipy(dry=True, t1=END, stiffness=1.0, damping=0.1, start=(1.9, 0.2), spe
         stuck += float(mode == 0) * (out.t[-1] - t)
         t, y = out.t[-1], out.y[:, -1].copy()
         if t < t1:
-            r, y[1] = pull(y), speed
-            mode = np.sign(r) if mode == 0 or abs(r) > 1 else 0
-    return y, stuck
+            was, r = mode, pull(t, y)
+            y[1] = speed
+            mode = np.sign(r) if was == 0 or abs(r) > 1 else 0
+            released += [t] * int(was == 0)
+    return y, stuck, np.array(released)
+
+
+def friction_force(name):
+    """F(-v_d)."""
+    return mu(SPEED) * (np.tanh(SPEED / WIDTH) if "smoothed" in name else 1.0)
 
 
 @functools.cache
-def cycle_of(model):
-    start, _ = by_scipy(model.dry, 180.0)
-    return jc.find_limit_cycle(model, tuple(jnp.array([part]) for part in start))
+def cycle_of(name):
+    start, _, _ = by_scipy(name, 20 * 2 * np.pi / FREQUENCY)
+    return find_limit_cycle(MODELS[name], tuple(jnp.array([part]) for part in start))
 
 
 @functools.cache
-def run_of(dry):
+def run_of(name):
     """The end and what is observed, and its slopes; one program for all numbers of the model."""
-    watch = jc.Amplitude(1.0), jc.StickTime()
-    # A short series compiles fast.
-    how = {"solver": jc.EventDriven(8)} if dry else {}
+    of = "damping_ratio" if "chain" in name else "damping"
+    watch = Amplitude(1.0), StickTime()
 
     @jax.jit
     def run(model):
         def ends(damping):
-            own = model.with_(damping=damping)
-            done = jc.simulate(own, START, END, rtol=1e-10, observe=watch, **how)
+            own = model.with_(**{of: damping})
+            # A short series compiles fast.
+            how = {"solver": jc.EventDriven(8)} if model.dry else {}
+            done = simulate(own, START, END, rtol=1e-10, observe=watch, **how)
             return jnp.concatenate(done.state), done.observed
 
-        return jax.jvp(ends, (model.damping,), (jnp.ones(()),))
+        return jax.jvp(ends, (getattr(model, of),), (jnp.ones(()),))
 
     return run
 
 
-def simulates(model):
-    (end, (_, stuck)), (slope, _) = run_of(model.dry)(model)
-    np.testing.assert_allclose(end, by_scipy(model.dry)[0], atol=1e-7)
+def belt(name):
+    return "contacts[0].belt_speed" if "contacts" in name else "belt_speed"
+
+
+def simulates(name, model):
+    (end, (_, stuck)), _ = run_of(name)(model)
+    y, expected, _ = by_scipy(name)
+    np.testing.assert_allclose(end, y, atol=1e-7)
+    if "smoothed" in name:
+        _, expected, _ = by_scipy(name.replace("smoothed", "dry"))
     # A smoothed mass is released later and slower, by times of the order of its width.
-    expected = by_scipy()[1]
-    assert float(stuck[0]) == pytest.approx(expected, abs=1e-8 if model.dry else 0.15)
+    assert float(stuck[0]) == pytest.approx(expected, abs=0.15 if not model.dry else 1e-8)
     assert expected > 0.5
-    high, low = (by_scipy(model.dry, damping=d)[0] for d in (0.1 + 1e-5, 0.1 - 1e-5))
-    np.testing.assert_allclose(slope, (high - low) / 2e-5, atol=2e-5)
 
 
-def finds_and_continues_a_cycle(model):
-    cycle = cycle_of(model)
+def differentiates(name, model):
+    _, (slope, _) = run_of(name)(model)
+    high, low = (by_scipy(name, damping=d)[0] for d in (0.1 + 1e-5, 0.1 - 1e-5))
+    factor = 0.5 if "chain" in name else 1.0
+    np.testing.assert_allclose(slope * factor, (high - low) / 2e-5, atol=2e-5)
+
+
+def finds_a_cycle(name, model):
+    cycle = cycle_of(name)
     assert cycle.stable
-    branch = jc.continue_cycle(cycle, parameter=BELT, bounds=(1.2, 1.6), max_points=5)
-    speed, state = branch.parameter[-1], [float(part[-1, 0]) for part in branch.state]
-    assert speed != SPEED
-    end, _ = by_scipy(model.dry, branch.period[-1], start=state, speed=speed)
+    start = [float(part[0]) for part in cycle.state]
+    if "forced" in name:
+        assert float(cycle.period) == pytest.approx(2 * np.pi / FREQUENCY)
+    y, _, _ = by_scipy(name, float(cycle.period), start=start)
+    np.testing.assert_allclose(y, start, atol=2e-8)
+    return cycle
+
+
+def continues_a_cycle(name, model):
+    of, argument = ("force", "force") if "forced" in name else (belt(name), "speed")
+    branch = continue_cycle(cycle_of(name), parameter=of, bounds=(1.2, 1.6), max_points=5)
+    value, state = branch.parameter[-1], [float(part[-1, 0]) for part in branch.state]
+    assert value not in (SPEED, FORCE)
+    end, _, _ = by_scipy(name, branch.period[-1], start=state, **{argument: value})
     np.testing.assert_allclose(end, state, atol=1e-8)
 
 
-def finds_an_equilibrium(model):
+def finds_an_equilibrium(name, model):
+    if "forced" in name:
+        with pytest.raises(ValueError, match="time"):
+            find_equilibrium(model, START)
+        return
     found = find_equilibrium(model, START)
-    np.testing.assert_allclose(found.state, [[mu(SPEED)], [0.0]], atol=1e-12)
-    assert found.stable is (hopf_speed(model) < SPEED)
+    np.testing.assert_allclose(found.state, [[friction_force(name)], [0.0]], atol=1e-12)
+    assert found.stable is (hopf_speed(name) < SPEED)
 
 
-def hopf_speed(model):
-    """Where damping and the slope of friction cancel."""
-
+def hopf_speed(name):
     def damping(speed):
-        tanh = 1.0 if model.dry else np.tanh(speed / WIDTH)
-        return 0.1 - np.exp(-speed / 0.5) * tanh + mu(speed) * (1 - tanh**2) / WIDTH
+        slope = -np.exp(-speed / 0.5)  # of mu
+        if "smoothed" not in name:
+            return 0.1 + slope
+        tanh = np.tanh(speed / WIDTH)
+        return 0.1 + slope * tanh + mu(speed) * (1 - tanh**2) / WIDTH
 
     return float(brentq(damping, 0.5, 2.0, xtol=1e-14))
 
 
-def finds_the_hopf_point(model):
-    expected = hopf_speed(model)
-    assert float(find_hopf_point(model, BELT, START).value) == pytest.approx(expected, abs=1e-11)
-    branch = continue_equilibrium(model, START, BELT, (1.0, 1.5))
+def finds_the_hopf_point(name, model):
+    if "forced" in name:
+        with pytest.raises(ValueError, match="time"):
+            find_hopf_point(model, "belt_speed", START)
+        return
+    found = find_hopf_point(model, belt(name), START)
+    assert float(found.value) == pytest.approx(hopf_speed(name), abs=1e-11)
+    branch = continue_equilibrium(model, START, belt(name), (1.0, 1.5))
     (hopf,) = [point for point in branch.special if point.kind == "hopf"]
-    assert float(hopf.p) == pytest.approx(expected, abs=1e-6)
+    assert float(hopf.p) == pytest.approx(hopf_speed(name), abs=1e-6)
 
 
-def finds_exponents(model):
-    cycle = cycle_of(model)
+def finds_exponents(name, model):
+    cycle = cycle_of(name)
     period = float(cycle.period)
-    found = jc.lyapunov_spectrum(model, cycle.state, 60 * period, transient=20 * period)
+    found = lyapunov_spectrum(model, cycle.state, 60 * period, transient=20 * period)
+    if "forced" in name:  # it slides throughout
+        rates = np.log(np.abs(cycle.multipliers)) / period
+        np.testing.assert_allclose(jnp.sum(found.exponents), np.sum(rates), rtol=1e-3)
+        return
     assert abs(found.exponents[0]) < 1e-3
-    assert float(found.exponents[1]) == -np.inf
+    last = float(found.exponents[1])
+    assert last == -np.inf if model.dry else last < -1.0
 
 
-def sweeps_over_the_stiffness(model):
-    values, watch = [0.9, 1.2], jc.Amplitude(1.0)
-    data = jc.sweep(model, START, END, over={"stiffness": values}, observe=watch, rtol=1e-10)
+def picks_a_width(name, model):
+    if model.dry or "contacts" in name:
+        with pytest.raises(ValueError, match=r"dry friction|at one contact"):
+            simulate(model, START, END, accuracy=1e-2)
+        return
+    run = simulate(model, START, 20.0, accuracy=1e-3)
+    y, _, _ = by_scipy(name.replace("smoothed", "dry"), 20.0)
+    np.testing.assert_allclose(np.ravel(run.state), y, atol=2e-3)
+    assert run.numerics is not None
+    assert float(run.numerics.width) < 1e-3
+
+
+def sweeps_over_the_stiffness(name, model):
+    values = [0.9, 1.2]
+    watch = Amplitude(1.0)
+    data = sweep(model, START, END, over={"stiffness": values}, observe=watch, rtol=1e-10)
     for k, stiffness in enumerate(values):
-        (end, (amplitude, _)), _ = run_of(model.dry)(model.with_(stiffness=stiffness))
-        np.testing.assert_allclose(end, by_scipy(stiffness=stiffness)[0], atol=1e-7)
+        (end, (amplitude, _)), _ = run_of(name)(model.with_(stiffness=stiffness))
+        y, _, _ = by_scipy(name, stiffness=stiffness)
+        np.testing.assert_allclose(end, y, atol=1e-7)
         np.testing.assert_allclose(data.amplitude[k], amplitude, rtol=1e-8)
 
 
-def is_judged(model):
-    assert jc.verdict(model, cycle_of(model).state).verdict == "periodic"
+def is_judged(name, model):
+    start = [float(part[0]) for part in cycle_of(name).state]
+    assert verdict(model, tuple(jnp.array([a]) for a in start)).verdict == "periodic"
 
 
-LONG = [
-    (finds_and_continues_a_cycle, DRY), (finds_the_hopf_point, DRY), (finds_exponents, DRY),
-    (sweeps_over_the_stiffness, DRY), (is_judged, DRY), (simulates, SMOOTHED),
-    (finds_and_continues_a_cycle, SMOOTHED),
+# In the default run. Other tests hold chains to all of these, dry cells to what concerns cycles,
+# tests/cycles/test_dry_cells.py, and Hopf points, tests/boundaries/test_dry_equilibria.py, and
+# forced ones to SciPy, tests/model/test_drives.py.
+QUICK = {
+    "cells, dry": (picks_a_width,),
+    "cells, dry, forced": (finds_an_equilibrium, finds_the_hopf_point),
+    "contacts, dry": (simulates, differentiates, finds_an_equilibrium, picks_a_width),
+    "contacts, smoothed": (picks_a_width,),
+}
+FUNCTIONS = (
+    simulates, differentiates, finds_a_cycle, continues_a_cycle, finds_an_equilibrium,
+    finds_the_hopf_point, finds_exponents, picks_a_width, sweeps_over_the_stiffness, is_judged,
+)  # fmt: skip
+TABLE = [
+    pytest.param(
+        function, name, marks=() if function in QUICK.get(name, ()) else pytest.mark.long,
+        id=f"{function.__name__}-{name}",
+    )
+    for name in MODELS
+    for function in FUNCTIONS
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("function", "model"),
-    [
-        (simulates, DRY),
-        (finds_an_equilibrium, DRY),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in LONG),
-    ],
-    ids=lambda case: getattr(case, "__name__", None) or ("dry" if case.dry else "smoothed"),
-)
-def test_every_function_works_for_contacts(function, model):
-    function(model)
+@pytest.mark.parametrize(("function", "name"), TABLE)
+def test_every_function_works_for_every_model(function, name):
+    function(name, MODELS[name])
 
 
-def test_what_moves_with_the_time_has_no_equilibrium():
-    for search in (find_equilibrium, lambda *of: find_hopf_point(of[0], "belt_speed", of[1])):
-        with pytest.raises(ValueError, match="time"):
-            search(FORCED, START)
+ONE = jc.paper_chain(1, width=None)
 
 
 def c_start(chain):
     return release_state(chain, 0)
 
 
-def simulated(chain, **how):
-    return jc.simulate(chain, c_start(chain), 1.0, **how)
+def film(chain):
+    return loop(chain, c_start(chain), solver=jc.Rodas4())
 
 
-def swept(chain, name="belt_speed", **how):
-    return jc.sweep(chain, c_start(chain), 1.0, over={name: [0.1]}, **how)
+# For smoothed friction alone: with a dry chain, the words that say what to do.
+REFUSED = {
+    "simulate": (lambda c: jc.simulate(c, c_start(c), 1.0, solver=jc.Rodas4()), "leave out"),
+    "simulate accuracy": (lambda c: jc.simulate(c, c_start(c), 1.0, accuracy=0.1), "give `rtol`"),
+    "sweep": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"belt_speed": [1.0]}, solver=jc.Rodas4()),
+        "leave out `solver`",
+    ),
+    "sweep accuracy": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"belt_speed": [1.0]}, accuracy=0.1),
+        "give `rtol`",
+    ),
+    "sweep width": (
+        lambda c: jc.sweep(c, c_start(c), 1.0, over={"width": [0.1]}), "to sweep `width`"
+    ),
+    "liouville_determinant": (
+        lambda c: liouville_determinant(c, c_start(c), 6.0), "`find_limit_cycle`"
+    ),
+    "find_limit_cycles": (lambda c: jc.cycles.find_limit_cycles(c, 2), "`find_limit_cycle`"),
+    "find_special_cycle": (
+        lambda c: jc.boundaries.find_special_cycle(cycle_branch(1).special[0], c),
+        "give it a width",
+    ),
+    "fold_by_descent": (jc.boundaries.fold_by_descent, "`find_fold`"),
+    "phase_model": (
+        lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None)), "give it a width"
+    ),
+    "lyapunov_spectrum": (
+        lambda c: jc.lyapunov_spectrum(c, c_start(c), 9.0, solver=jc.Rodas4()), "leave out"
+    ),
+    "verdict": (lambda c: jc.verdict(c, c_start(c), solver=jc.Rodas4()), "leave out `solver`"),
+    "loop": (film, "leave out `solver`"),
+}  # fmt: skip
 
 
-ROSENBROCK, FOLD = {"solver": jc.Rodas4()}, cycle_branch(1).special[0]
-# For smoothed friction alone: the words that say what to do with a dry chain, and a call of it.
-REFUSED = [
-    ("leave out", lambda c: simulated(c, **ROSENBROCK)),
-    ("give `rtol`", lambda c: simulated(c, accuracy=0.1)),
-    ("leave out `solver`", lambda c: swept(c, **ROSENBROCK)),
-    ("give `rtol`", lambda c: swept(c, accuracy=0.1)),
-    ("to sweep `width`", lambda c: swept(c, "width")),
-    ("`find_limit_cycle`", lambda c: liouville_determinant(c, c_start(c), 6.0)),
-    ("`find_limit_cycle`", lambda c: jc.cycles.find_limit_cycles(c, 2)),
-    ("give it a width", lambda c: jc.boundaries.find_special_cycle(FOLD, c)),
-    ("`find_fold`", jc.boundaries.fold_by_descent),
-    ("give it a width", lambda c: jc.localization.phase_model(jc.paper_chain(4, width=None))),
-    ("leave out", lambda c: jc.lyapunov_spectrum(c, c_start(c), 9.0, **ROSENBROCK)),
-    ("leave out `solver`", lambda c: jc.verdict(c, c_start(c), **ROSENBROCK)),
-    ("leave out `solver`", lambda c: loop(c, c_start(c), **ROSENBROCK)),
-]
-
-
-def test_what_needs_a_width_says_what_to_do_without_one():
-    for words, function in REFUSED:
-        with pytest.raises(ValueError, match="dry friction") as caught:
-            function(jc.paper_chain(1, width=None))
-        assert words in str(caught.value)
-        assert re.search(r"`(chain|model)\.with_\(width=1e-3\)`", str(caught.value))
-    for model in (DRY, SMOOTHED):
-        with pytest.raises(ValueError, match=r"dry friction|at one contact"):
-            jc.simulate(model, START, END, accuracy=1e-2)
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_needs_a_width_says_what_to_do_without_one(name):
+    function, words = REFUSED[name]
+    with pytest.raises(ValueError, match="dry friction") as caught:
+        function(ONE)
+    assert words in str(caught.value)
+    assert re.search(r"`(chain|model)\.with_\(width=1e-3\)`", str(caught.value))
 
 
 MODULES = (jc, *(importlib.import_module(f"jaxchain.{submodule}") for submodule in jc.SUBMODULES))
@@ -288,19 +391,11 @@ def define(cls, **names):
     return type(cls)("Mine", (cls,), {"__module__": __name__, "__qualname__": "Mine", **names})
 
 
-@pytest.mark.parametrize(
-    ("cls", "instead"),
-    [
-        (jc.Chain, "`jaxchain.model.AbstractOscillators` for other forces, or"),
-        (jc.TanhFriction, "subclass `jaxchain.model.AbstractFrictionLaw`"),
-        (MechanicalCells, "subclass `jaxchain.model.AbstractCells`"),
-    ],
-)
-def test_a_concrete_class_is_final_and_the_error_names_another(cls, instead):
-    with pytest.raises(
-        TypeError, match=f"`Mine` cannot be a subclass of `{cls.__name__}`.*{instead}"
-    ):
-        define(cls)
+@pytest.mark.parametrize("cls", [jc.Chain, MechanicalCells, jc.TanhFriction])
+def test_a_concrete_class_is_final(cls):
+    for name in names_of(cls) or {"anything"}:
+        with pytest.raises(TypeError, match=rf"`Mine` cannot be a subclass of `{cls.__name__}`"):
+            define(cls, **{name: lambda self: 1.0})
 
 
 @pytest.mark.parametrize("cls", OPEN)
@@ -314,10 +409,20 @@ def test_a_method_that_would_be_ignored_cannot_be_defined(cls):
                 define(base, **{name: lambda self: 1.0})
 
 
+def test_the_error_names_the_class_to_subclass_instead():
+    for cls, instead in {
+        jc.Chain: "`jaxchain.model.AbstractOscillators` for other forces, or",
+        jc.TanhFriction: "subclass `jaxchain.model.AbstractFrictionLaw`",
+        MechanicalCells: "subclass `jaxchain.model.AbstractCells`",
+    }.items():
+        with pytest.raises(TypeError, match=instead):
+            define(cls)
+
+
 def test_functions_for_a_belt_refuse_other_forces():
     start = jnp.ones(1), jnp.ones(1)
     for use in (
-        jc.hopf_belt_speed, jc.find_fold,
+        jc.hopf_belt_speed, jc.fold_belt_speed, jc.find_fold,
         lambda field: jc.sweep(field, jc.equation_8, 20.0, over={"excited": [1]}),
         lambda field: jc.simulate(field, start, 1.0, solver=jc.EventDriven()),
     ):  # fmt: skip
@@ -347,6 +452,27 @@ class TwoWells(AbstractCells):
 
     def equilibrium(self):
         return jnp.full(3, 0.8), jnp.zeros(3)
+
+
+def test_the_number_of_cells_and_the_equilibrium_of_a_model_are_used():
+    with pytest.raises(ValueError, match="but for 3 masses must be"):
+        jc.simulate(TwoWells(), (jnp.ones(2), jnp.ones(2)), 1.0)
+    assert find_equilibrium(TwoWells()).state[0] == pytest.approx(1.0)  # not that at 0
+
+
+class Swing(AbstractOscillators):
+    """Driven by a force of period 2."""
+
+    springs: None = None
+
+    def local_force(self, t, x, v):
+        return jnp.cos(jnp.pi * t) - 0.5 * v
+
+    def stiffness_diagonal(self, n):
+        return 1.0
+
+    def forcing_period(self):
+        return 2.0
 
 
 class Mass(AbstractCells):
@@ -412,23 +538,28 @@ def test_what_cells_define_is_honoured():
     # The last mass pulls the first one in a ring; at a free end there is one spring only.
     assert (ring[3, 2], row[3, 2]) == (0.1, 0.0)
     assert (ring[3, 0], row[3, 0]) == pytest.approx((-1.2, -1.1))
-    with pytest.raises(ValueError, match="forced with the period 2"):
-        jc.find_limit_cycle(Driven(), start, period=3.0)
-    with pytest.raises(ValueError, match="but for 3 masses must be"):
-        jc.simulate(TwoWells(), (jnp.ones(2), jnp.ones(2)), 1.0)
-    assert find_equilibrium(TwoWells()).state[0] == pytest.approx(1.0)  # not that at 0
+    for model in (Driven(), Swing()):
+        with pytest.raises(ValueError, match="forced with the period 2"):
+            jc.find_limit_cycle(model, start, period=3.0)
 
 
-class Odd(AbstractObserver):
-    """Counts by twos from 100; every optional method says what is not usual."""
+class Count(AbstractObserver):
+    def init(self, field, t0, t1, y0):
+        return jnp.zeros(())
 
-    most: jax.Array
+    def update(self, accumulator, step):
+        return accumulator + 1.0
 
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"steps_seen": Variable(value)}
+
+
+class Other(Count):
     def init(self, field, t0, t1, y0):
         return jnp.asarray(100.0)
-
-    def fits(self, t0, t1):
-        return t1 < 60.0
 
     def update(self, accumulator, step):
         return accumulator + 2.0
@@ -439,9 +570,6 @@ class Odd(AbstractObserver):
     def rests(self, accumulator):
         return accumulator >= 110.0
 
-    def finite(self, accumulator):
-        return accumulator < self.most
-
     def read(self, accumulator):
         return -accumulator
 
@@ -449,16 +577,58 @@ class Odd(AbstractObserver):
         return {"mine": Variable(value)}
 
 
-def test_what_an_observer_defines_is_honoured():
+class Double(Count):
+    def update_if(self, counts, accumulator, step):
+        return accumulator + jnp.where(counts, 2.0, 0.0)
+
+
+@pytest.mark.long
+def test_an_observer_is_honoured_in_runs_and_sweeps():
     chain = jc.paper_chain(1, width=None)
-    start = jc.equation_8(chain, 1)
-    odd = Odd(jnp.asarray(200.0))
-    for observer, outcome in ((odd, "quiet"), (Odd(jnp.asarray(105.0)), "nonfinite")):
-        run = jc.simulate(chain, start, 50.0, observe=observer, throw=False)
-        assert (float(run.observed), int(run.steps), run.outcome) == (-110.0, 5, outcome)
-    for use in (
-        lambda: jc.simulate(chain, start, 70.0, observe=odd),
-        lambda: jc.sweep(chain, jc.equation_8, 70.0, over={"excited": [1]}, observe=odd),
-    ):
-        with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 70"):
-            use()
+    run = jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Other())
+    assert (float(run.observed), int(run.steps), run.outcome) == (-110.0, 5, "quiet")
+    data = jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Other())
+    assert data.mine.values.tolist() == [-110.0]
+    assert data.steps.values.tolist() == [5]
+    plain = jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Count())
+    assert float(plain.observed) == int(plain.steps) > 5
+    data = jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Double())
+    assert data.steps_seen.values == 2 * data.steps.values
+
+
+class Unsound(Count):
+    def finite(self, accumulator):
+        return accumulator < 1.0
+
+
+def test_an_observer_decides_whether_its_value_is_finite():
+    chain = jc.paper_chain(1, width=None)
+    run = jc.simulate(chain, jc.equation_8(chain, 1), 5.0, observe=Unsound(), throw=False)
+    assert run.outcome == "nonfinite"
+
+
+class Late(AbstractObserver):
+    """What is so only after the time 60."""
+
+    def init(self, field, t0, t1, y0):
+        return y0[0]
+
+    def fits(self, t0, t1):
+        return t1 > 60.0
+
+    def update(self, accumulator, step):
+        return step.y1[0]
+
+    def read(self, accumulator):
+        return accumulator
+
+    def label(self, value, chain):
+        return {"late": Variable(value, ("oscillator",))}
+
+
+def test_an_observer_that_does_not_fit_is_refused_in_runs_and_sweeps():
+    chain = jc.paper_chain(1, width=None)
+    with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 50"):
+        jc.simulate(chain, jc.equation_8(chain, 1), 50.0, observe=Late())
+    with pytest.raises(ValueError, match="does not fit into the run from t = 0 to 50"):
+        jc.sweep(chain, jc.equation_8, 50.0, over={"excited": [1]}, observe=Late())

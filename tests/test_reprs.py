@@ -1,5 +1,6 @@
 """The `repr` of models and results, and how notebooks show them."""
 
+import re
 from typing import Any
 from xml.etree import ElementTree
 
@@ -19,6 +20,7 @@ from jaxchain import (
     Trajectory,
     paper_chain,
 )
+from jaxchain._printing import Sketch, svg
 from jaxchain.boundaries import StabilityRange
 from jaxchain.cycles.limit_cycle import LimitCycle
 from jaxchain.inverse import Profile
@@ -188,3 +190,13 @@ def test_cycles_branches_and_curves_are_drawn():
     assert "χ²" in text
     assert text.count("<circle") == 1  # the interval ends on one side
     assert "nan" not in text.partition("<svg")[2]
+
+
+def test_a_sketch_leaves_out_what_is_not_finite_and_escapes_words():
+    x = np.arange(4.0)
+    drawn = svg(Sketch("a < b", "y", [(x, [1.0, np.nan, 3.0, 4.0])], [(np.inf, 1.0, "far")]))
+    assert "a < b" in texts_of(drawn)
+    assert "far" not in texts_of(drawn)
+    (path,) = re.findall(r' d="([^"]*)"', drawn)
+    assert re.sub("[^ML]", "", path) == "MML"
+    assert svg(Sketch("x", "y", [(x, np.full(4, np.nan))])) == ""

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from jaxchain.scenes import tables
 from jaxchain.scenes.building import build
-from jaxchain.scenes.files import SceneError, builtin_scenes
+from jaxchain.scenes.files import MOST_SHOWN, SceneError, builtin_scenes
 from jaxchain.scenes.scene import load_scene, schema
 from jaxchain.scenes.tables import Range
 
@@ -220,3 +220,29 @@ def test_a_model_of_kind_chain_is_the_same_as_a_chain(scene_file):
     one = build(load_scene(scene_file))["pair"]
     assert str(one.model) == str(other.model)
     assert (one.observe, one.variables) == (other.observe, other.variables)
+
+
+def test_thousands_of_mistakes_are_a_screen(scene_file):
+    keys = ", ".join(f"k{i} = 1" for i in range(2001))
+    values = ", ".join(["-1"] * 10_001)
+    for wrong in (f"time={{{keys}}}", f"chain.coupling=[{values}]"):
+        error = error_of(scene_file, PAIR + wrong)
+        assert len(str(error).splitlines()) <= MOST_SHOWN + 2
+        assert str(error).endswith("more")
+
+
+def test_an_error_is_printable_and_short_whatever_the_file_holds(scene_file):
+    long = f"{'k' * 5000}=1"
+    text = str(error_of(scene_file, "a\x1b[31mb=1", f"title={'[' * 9}{']' * 9}", long))
+    assert text.replace("\n", "").isprintable()
+    assert '"a\\u001b[31mb": is not a known key' in text
+    assert "... (50" in text
+    assert len(text) < 4000
+
+
+def test_a_number_may_be_swept_instead_of_given_and_one_run_needs_no_sweep(scene_file):
+    loaded = load_scene(scene_file, [PAIR + "sweep.width=[0.1]", PAIR + "sweep.v_ref=[0.5, 0.6]"])
+    assert loaded.scene.experiment["pair"].lanes() == 16
+    one = [PAIR + "sweep={}", PAIR + "chain.belt_speed=1.5", PAIR + "initial.excited=1"]
+    grid = load_scene(scene_file, one).scene.experiment["pair"].grid()
+    assert {name: values.tolist() for name, values in grid.items()} == {"belt_speed": [1.5]}
