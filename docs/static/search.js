@@ -15,7 +15,7 @@ const found = (stem) => sections.terms[stem]
 const FIRST = 1e6;
 const ranked = ([page, , title, module], asked, score) => {
   const own = stems(module ? title.replace(/([a-z])([A-Z])/g, "$1 $2") : title);
-  const filled = asked.every((stem) => own.includes(stem)) && asked.length >= own.length / 2;
+  const filled = asked.every((stem) => own.includes(stem)) && asked.length > own.length / 2;
   if (filled && page === "faq") return 2 * FIRST + score;
   if (module && /^[a-z0-9_]+$/.test(title) && asked.every((stem) => own.includes(stem))) {
     return FIRST + FIRST / title.length;

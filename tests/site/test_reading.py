@@ -53,6 +53,14 @@ QUESTIONS = {
     "brake pad with stiffness matrix": ("guides/squeal_from_matrices",),
     "random stiffness of masses": ("guides/maps_and_scatter",),
     "damping to avoid squeal": ("faq", "guides/squeal_from_matrices"),
+    "install": ("start",),
+    "what units are used": ("faq", "guides/units"),
+    "read csv signal": ("guides/drives", "guides/signals"),
+    "estimate friction coefficient from measurement": ("guides/signals",),
+    "scene file format": ("guides/command_line_and_scenes",),
+    "print the amplitude of each mass": ("faq",),
+    "gradient wrong through stick slip": ("guides/gradients",),
+    "my run takes forever": ("faq",),
 }  # fmt: skip
 # Words of which functions have the answer: those that must come first, in any order.
 FUNCTIONS = {
