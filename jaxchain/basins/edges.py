@@ -45,8 +45,8 @@ _BLOCK, _SAME, _OF_ITSELF, _RESTS = 16, 0.03, 0.05, 1e-3
 # amplitude by 4 %.
 _NEAR_LOW, _NEAR_HIGH = 0.05, 0.1
 # A chain is decided by these windows and not by `VibratingMasses`, which needs whole runs: those
-# take 34 times (three masses) to 155 times (a ring of six) as long, and of one mass the edge did not
-# settle or was lost.
+# take 34 times (three masses) to 155 times (a ring of six) as long, and of one mass the edge did
+# not settle or was lost.
 # Successive windows that must agree.
 _AGREE, _SETTLED = 3, 5
 # Factor and number of times by which a bracket that has lost the edge is widened.
