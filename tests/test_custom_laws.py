@@ -7,10 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from jaxchain.boundaries.fold import fold_belt_speed
 from jaxchain.boundaries.hopf import hopf_belt_speed
 from jaxchain.boundaries.hopf_scan import hopf_points
-from jaxchain.model.chain import Chain
+from jaxchain.model.chain import Chain, paper_chain
 from jaxchain.model.friction import AbstractFrictionLaw, TanhFriction
 from jaxchain.model.provenance import parameters_of
 
@@ -30,6 +32,24 @@ class Neural(AbstractFrictionLaw):
 
     def coefficient(self, speed: Any) -> Any:
         return self.mu_static + jnp.vectorize(self.net)(speed) - self.net(jnp.zeros(()))
+
+
+BIASES = [2.0, -2.0]
+
+
+def agree(one, other, bound=1e-10):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, rtol=bound, atol=bound)
+
+
+def network(biases=BIASES):
+    """Two hidden units that together are the paper's 0.5 + 0.5 exp(-s / 0.5)."""
+    net = eqx.nn.MLP("scalar", "scalar", 2, 1, activation=jnp.exp, key=jax.random.key(0))
+    shares = [[0.2 * np.exp(-biases[0]), 0.3 * np.exp(-biases[1])]]
+    numbers = [[-2.0], [-2.0]], biases, shares, [0.5]
+    arrays, functions = eqx.partition(net, eqx.is_array)
+    shaped = jax.tree.unflatten(jax.tree.structure(arrays), map(jnp.asarray, numbers))
+    return Neural(jnp.asarray(1.0), eqx.combine(shaped, functions))
 
 
 def test_the_hopf_speed_of_an_own_law_and_its_gradient_are_the_closed_form():
@@ -56,9 +76,16 @@ def test_the_hopf_speed_of_an_own_law_and_its_gradient_are_the_closed_form():
     np.testing.assert_allclose(points[-1], 0.5 * np.log(10.0), rtol=1e-10)
 
 
+@pytest.mark.long
+def test_boundaries_of_a_neural_network_are_those_of_the_law_that_it_is():
+    for width, biases in ((None, BIASES), (1e-2, [0.0, 0.0])):
+        paper = paper_chain(1, 1.5, width)
+        own = paper.with_(friction=network(biases).with_(width=width))
+        agree(fold_belt_speed(own), fold_belt_speed(paper), 1e-9)
+        agree(hopf_points(own, (0.5, 3.0)).belt_speed, hopf_points(paper, (0.5, 3.0)).belt_speed)
+
+
 def test_provenance_names_the_weights_of_a_network():
-    net = eqx.nn.MLP("scalar", "scalar", 2, 1, jnp.tanh, key=jax.random.key(0))
-    chain = Chain(1, TanhFriction(Neural(jnp.asarray(9.0), net), 1e-2), 1.5)
+    chain = paper_chain(1, 1.5, 1e-2).with_(friction=TanhFriction(network(), 1e-2))
     weights, biases, *_ = json.loads(parameters_of(chain, 1, ()))["net"]
-    np.testing.assert_array_equal(weights, net.layers[0].weight)
-    np.testing.assert_array_equal(biases, net.layers[0].bias)
+    assert (weights, biases) == ([[-2.0], [-2.0]], BIASES)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxchain import continue_cycle, find_limit_cycle, simulate
+from jaxchain import continue_cycle, find_limit_cycle, simulate, verdict
 from jaxchain.model import (
     ExponentialDecay,
     MechanicalCells,
@@ -28,6 +28,16 @@ class Cubic(eqx.Module):
 
     def __call__(self, q, v):
         return (-self.factor * q[0] ** 3,)
+
+
+class Pushing(eqx.Module):
+    """The damper of van der Pol."""
+
+    gain: jax.Array
+    loss: jax.Array
+
+    def __call__(self, q, v):
+        return (self.gain * v[0] - self.loss * q[0] ** 2 * v[0],)
 
 
 def sticking(length, time, smoothed):
@@ -57,11 +67,17 @@ def forced(length, time):
     return cells, "force", force
 
 
+def pushed(length, time):
+    law = Pushing(jnp.asarray(0.3 / time), jnp.asarray(0.3 / time / length**2))
+    return MechanicalCells(time**-2, local_force=law), "stiffness", time**-2
+
+
 CELLS = {
     "dry": lambda *units: sticking(*units, smoothed=False),
     "smoothed": lambda *units: sticking(*units, smoothed=True),
     "with stops": hitting,
     "forced": forced,
+    "pushed": pushed,
 }
 
 
@@ -98,7 +114,7 @@ def test_a_run_in_other_units_takes_the_same_steps_to_the_same_end(kind):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["smoothed", "with stops"])
+@pytest.mark.parametrize("kind", CELLS)
 def test_cycles_and_branches_in_other_units_are_alike_and_compile_nothing(kind, compiled):
     """In one set of units, so does the closed form of `tests/cycles/test_several_places.py`."""
     stable, numbers, ends, special = seen(CELLS[kind], 1.0, 1.0)
@@ -116,14 +132,30 @@ def test_cycles_and_branches_in_other_units_are_alike_and_compile_nothing(kind, 
         )
 
 
-def test_a_run_from_rest_begins_as_exactly_in_any_units():
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["smoothed", "pushed", "forced"])
+def test_a_verdict_does_not_depend_on_the_units(kind):
     found = []
     for length, time in ((1.0, 1.0), *UNITS):
-        force = lambda t, a=length / time**2, b=time: a * jnp.sin(2.0 * t / b)
-        cells = MechanicalCells(time**-2, force=force)
+        cells, _, _ = CELLS[kind](length, time)
+        start = tuple(jnp.full(1, 0.2 * s) for s in [length] * cells.d + [length / time] * cells.d)
+        judged = verdict(cells, start, seeds=1)
+        found.append((judged.verdict, round(float(judged.runs[-1].period) / time, 6)))
+    assert found[0][0] == "periodic"
+    assert found == found[:1] * len(found)
+
+
+@pytest.mark.parametrize("force", [jnp.ones_like, lambda t: jnp.sin(2.0 * t)])
+def test_a_run_from_rest_begins_as_exactly_in_any_units(force):
+    found = []
+    for length, time in ((1.0, 1.0), *UNITS):
+        cells = MechanicalCells(
+            time**-2, force=lambda t, a=length / time**2, b=time: a * force(t / b)
+        )
         run = simulate(cells, (jnp.zeros(1), jnp.zeros(1)), 20.3 * time)
         found.append(float(run.state[0][0]) / length)
-    wanted = (2.0 * np.sin(20.3) - np.sin(40.6)) / 3.0
+    exact = {True: 1.0 - np.cos(20.3), False: (2.0 * np.sin(20.3) - np.sin(40.6)) / 3.0}
+    wanted = exact[force is jnp.ones_like]
     np.testing.assert_allclose(found, wanted, rtol=0, atol=4e-6)
 
 

@@ -29,16 +29,14 @@ PRIORS = {
     "examples": 0.8, "reference/datasets": 0.6, "reference": 0.8, "": 1.0,
 }  # fmt: skip
 # What each word of an index entry adds if the search has all words of the entry.
-PHRASE = 60.0
+PHRASE = 60
 # Words of questions, which say nothing of what is asked for.
-QUESTION = frozenset(
-    re.findall(
-        "[a-z]+",
-        "all can could did do does each from get give had has have how i make me much must my "
-        "need one our see should so take use used want we what when where which who why would "
-        "you your",
-    )
-)
+QUESTION = {
+    "all", "can", "could", "did", "do", "does", "each", "from", "get", "give", "had", "has",
+    "have", "how", "i", "make", "me", "much", "must", "my", "need", "one", "our", "see", "should", "so",
+    "take", "use", "used", "want", "we", "what", "when", "where", "which", "who", "why", "would",
+    "you", "your",
+}  # fmt: skip
 _LANGUAGE = SearchEnglish({})
 STOPWORDS = (_LANGUAGE.stopwords | QUESTION) - {"own"}
 
@@ -93,15 +91,16 @@ def _counts(documents):
 
 
 def index(documents):
-    """Sections; of each stem the numbers of those that have it, each with its worth there; the
-    stems of entries of several words, each after the number of its section.
+    """Sections; of each stem the numbers of those that have it, each with its worth there.
+
+    Of each entry of several words: the number of its section, its worth, and its stems.
     """
     found = _counts(documents)
     titles = Counter(place[2] for place, *_ in found)
     usual = sum(sum(body.values()) for _, body, *_ in found) / len(found)
     worth, phrases = defaultdict(dict), []
     for k, (_, body, title, named, whole) in enumerate(found):
-        phrases += [[k, *phrase] for phrase in named if len(phrase) > 1]
+        phrases += [[k, PHRASE * len(part), *part] for part in named if len(part) > 1]
         entries = {stem for phrase in named for stem in phrase}
         long = 1.0 - LENGTH + LENGTH * sum(body.values()) / usual
         for stem in {*body, *title, *entries, *whole}:
@@ -132,10 +131,7 @@ def index(documents):
             for part in (k, round(100 * rare * count / (SATURATION + count) * priors[k]))
         ]  # fmt: skip
     places = [place for place, *_ in found]
-    return {
-        "places": places, "terms": terms, "phrases": phrases, "phrase": PHRASE,
-        "ignored": sorted(STOPWORDS),
-    }  # fmt: skip
+    return {"places": places, "terms": terms, "phrases": phrases, "ignored": sorted(STOPWORDS)}
 
 
 def _prior(page):

@@ -35,10 +35,8 @@ Search._performSearch = (query, terms, excluded) => {
     }
     for (const [k, worth] of best) scores.set(k, worth + (scores.get(k) ?? 0));
   }
-  for (const [k, ...phrase] of sections.phrases) {
-    if (phrase.every((stem) => asked.includes(stem))) {
-      scores.set(k, sections.phrase * phrase.length + (scores.get(k) ?? 0));
-    }
+  for (const [k, worth, ...phrase] of sections.phrases) {
+    if (phrase.every((stem) => asked.includes(stem))) scores.set(k, worth + (scores.get(k) ?? 0));
   }
   for (const stem of excluded) {
     const list = found(stem);

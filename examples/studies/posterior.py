@@ -134,7 +134,7 @@ def main():
     quick, folder = options(__file__, __doc__)
     s = QUICK if quick else FULL
     truths, values, samples, diverged, intervals, seconds = kept(
-        folder / "samples.pickle", s, lambda: study(**s)
+        folder / "records.pickle", s, lambda: study(**s)
     )
     print(f"{len(truths)} records in {seconds:.0f} s, {diverged.mean():.2%} of samples diverged")
     long_chains(values[0], **(QUICK if quick else LONG))

@@ -148,7 +148,7 @@ class HopfPoint(Outcome):
 class Rates(eqx.Module):
     """The rates of a model as a function of the concatenated state, and of one of its parameters.
 
-    `direction`: in which masses slide under dry friction, or STICK; None for a smooth model.
+    `direction`: in which each dry contact slides, or STICK; None for a smooth model.
     """
 
     field: AbstractModel

@@ -34,6 +34,7 @@ def test_of_one_mass_it_is_the_distance_to_the_unstable_cycle(speed):
     np.testing.assert_allclose(found.kick, [up], rtol=1e-9)  # with the belt it takes less
     np.testing.assert_allclose([*found.sizes, found.size], [up, down, up], rtol=1e-9)
     assert (float(found.share), found.vibrating.tolist()) == (1.0, [True])
+    np.testing.assert_allclose([found.dies_at, found.vibrates_at], [0.99 * up, 1.01 * up])
     # The general search, which knows of runs alone, finds the same.
     for sign, size in ((1.0, up), (-1.0, down)):
         searched = gentlest_blow(chain, direction=[sign])

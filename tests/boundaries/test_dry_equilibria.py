@@ -2,13 +2,14 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize
 
-from jaxchain import ExponentialDecay, paper_chain, simulate
+from jaxchain import ExponentialDecay, continue_special, paper_chain, simulate, steady_sliding
 from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
 from jaxchain.model import MechanicalCells
 
@@ -54,15 +55,34 @@ def stays(model, state):
     return np.allclose(end, state, rtol=0.0, atol=1e-13)
 
 
+def test_masses_slide_at_the_closed_form():
+    damping = np.diag(2 * DAMPING + LOAD * weakening(1.3))
+    J = np.block([[np.zeros((2, 2)), np.eye(2)], [-SPRINGS, -damping]])
+    values = np.linalg.eigvals(J)
+    for speed in (1.3, -1.3):
+        beyond = jnp.ones(2), jnp.full(2, 2 * speed)  # the belt
+        found: Any = find_equilibrium(UNEQUAL.with_(belt_speed=speed), beyond)
+        x = np.linalg.solve(SPRINGS, np.sign(speed) * LOAD * friction(1.3))
+        np.testing.assert_allclose(found.state, [x, 0 * x], atol=1e-13)
+        np.testing.assert_allclose(in_order(found.eigenvalues), in_order(values), atol=2e-10)
+        assert found.stable == (np.real(values).max() < 0)
+        assert not found.sticking
+        assert np.isnan(found.interval).all()
+
+
 def test_cells_with_a_nonlinear_spring_slide_where_scipy_balances_them():
     for speed in (1.2, 0.1):
-        found: Any = find_equilibrium(CELLS.with_(belt_speed=speed))  # starts at zeros
+        found: Any = find_equilibrium(CELLS.with_(belt_speed=speed), REST)
         q = position(0.7 * friction(speed))
         np.testing.assert_allclose(np.ravel(found.state), [*q, 0, 0], atol=1e-12)
         values = cell_eigenvalues(speed)
         np.testing.assert_allclose(in_order(found.eigenvalues), in_order(values), atol=2e-10)
         assert found.stable == (np.real(values).max() < 0)
     assert not found.stable
+    assert CELLS.equilibrium() is None  # a search without a guess starts at zeros
+    np.testing.assert_array_equal(
+        find_equilibrium(CELLS).state, find_equilibrium(CELLS, REST).state
+    )
 
 
 def test_on_a_belt_that_stands_still_masses_stick_in_an_interval():
@@ -84,6 +104,11 @@ def test_on_a_belt_that_stands_still_masses_stick_in_an_interval():
     assert stays(chain, out)
     assert not stays(chain, (out[0] - jnp.array([0.0, 1e-6]), out[1]))
     assert stays(chain, (jnp.asarray(ends), jnp.zeros(2)))
+    # The other way round: the ends are the limits of steady sliding.
+    sliding = eqx.filter_jit(steady_sliding)
+    for sign, end in zip((-1, 1), found.interval, strict=True):
+        x, _ = sliding(chain.with_(belt_speed=sign * 1e-14))
+        np.testing.assert_allclose(x, end, atol=1e-13)
 
 
 def test_one_contact_of_several_displacements_sticks_in_an_interval():
@@ -94,6 +119,8 @@ def test_one_contact_of_several_displacements_sticks_in_an_interval():
     np.testing.assert_allclose(np.ravel(found.state), [-0.08, 0.2, 0, 0], atol=1e-15)
     end = position(0.7)[1]
     np.testing.assert_allclose(found.interval, [[-end], [end]], atol=1e-13)
+    far = find_equilibrium(cells, (REST[0], jnp.array([-3.0]), *REST[2:]))
+    assert float(far.state[1][0]) == pytest.approx(-end, abs=1e-13)
     # The one that is free vibrates, undamped or damped.
     values = in_order([0, 0, *np.roots([2.0, 0.1, 1.0])])
     np.testing.assert_allclose(in_order(found.eigenvalues), values, atol=2e-10)
@@ -128,6 +155,18 @@ def test_hopf_points_of_cells_are_those_of_numpy_and_of_the_closed_form():
         np.testing.assert_allclose(slopes, [0.0, -sign * 0.5 / 0.06], atol=1e-11)
 
 
+@pytest.mark.long
+def test_a_curve_of_dry_hopf_points_ends_where_the_belt_stops():
+    point = find_hopf_point(paper_chain(1, belt_speed=1.3, width=None), "belt_speed")
+    assert float(point.lyapunov_coefficient) == pytest.approx(0.05, abs=1e-12)
+    curve = continue_special(point, "damping_ratio")
+    assert "belt_speed = 0" in curve.ended  # it ends where the belt stops
+    some = curve.second > 1e-3
+    expected = 0.5 * np.log(1.0 / (2.0 * curve.second[some]))
+    np.testing.assert_allclose(curve.first[some], expected, atol=1e-9)
+    assert curve.second.max() == pytest.approx(0.5, abs=1e-9)  # the weakening is greatest there
+
+
 def test_a_branch_of_sliding_ends_where_the_belt_stops():
     """Modes of equal masses cross together, two of two, which must not cancel."""
     chain = UNEQUAL.with_(
@@ -145,3 +184,15 @@ def test_a_branch_of_sliding_ends_where_the_belt_stops():
     np.testing.assert_array_equal(branch.stable, branch.p < point.p)
     assert branch.p[-1] == 0.0
     np.testing.assert_allclose(branch.u[-1, :2], -1.0, atol=1e-13)  # p mu_st / k
+    assert "The belt stops there" in branch.message
+    assert branch.to_dataset().ended == "belt_speed = 0"
+
+
+def test_masses_that_stick_have_no_hopf_point_and_say_so():
+    still, start = UNEQUAL.with_(belt_speed=0.0), (jnp.ones(2), jnp.zeros(2))
+    for search in (
+        lambda: find_hopf_point(still, "mu_static", start),
+        lambda: continue_equilibrium(still, start, "mu_static", (0.5, 2.0)),
+    ):
+        with pytest.raises(ValueError, match=r"belts that move.*`belt_speed` = 0.*no Hopf point"):
+            search()

@@ -7,6 +7,7 @@ import pytest
 
 from jaxchain.boundaries import continue_equilibrium, find_equilibrium, find_hopf_point
 from jaxchain.model import AbstractCells
+from jaxchain.plotting import plot_branch
 
 
 class Brusselator(AbstractCells):
@@ -72,6 +73,20 @@ def test_an_equilibrium_and_its_hopf_point_are_those_of_the_closed_form_with_slo
     assert float(growth_slope) == pytest.approx(0.5, abs=1e-12)  # Re = (b - 1 - a^2) / 2
 
 
+@pytest.mark.long
+def test_in_a_ring_the_named_frequency_is_found():
+    """A wave of wavenumber q has the damping .1 (2 - 2 cos q): another Hopf point, later."""
+    cells = brusselator(2.44)
+    start = find_equilibrium(cells, (jnp.full(3, 1.2), jnp.full(3, 2.0))).state
+    first = find_hopf_point(cells, "b", start, frequency=1.2)
+    assert float(first.value) == pytest.approx(2.44, abs=1e-12)
+    later = 2.44 + 0.1 * 3.0  # trace = b - 1 - a^2 - .1 (2 - 2 cos q)
+    omega = np.sqrt(1.44 * (1.0 + 0.3))  # det = a^2 (1 + .1 (2 - 2 cos q))
+    second = find_hopf_point(cells.with_(b=later - 0.02), "b", start, frequency=omega)
+    assert float(second.value) == pytest.approx(later, abs=1e-11)
+    assert float(second.frequency) == pytest.approx(omega, abs=1e-11)
+
+
 def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
     cells = bistable(-0.2)
     branch = continue_equilibrium(cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7))
@@ -88,12 +103,20 @@ def test_a_branch_goes_both_ways_from_its_start_and_is_a_smooth_picture():
     for fold in folds:
         assert x[fold.index] < fold.u[0] < x[fold.index + 1]
         assert branch.arclength[fold.index] < fold.arclength < branch.arclength[fold.index + 1]
+        np.testing.assert_allclose(fold.tangent[1:], [0.0, 0.0], atol=1e-6)
+        assert fold.tangent[0] > 0
+    axes = plot_branch(branch)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("p (–)", "component 0 (–)")
+    _, legend = axes.get_legend_handles_labels()
+    assert set(legend) == {"stable", "unstable", "fold"}
     one_way = continue_equilibrium(
         cells, (jnp.full(1, -1.1), jnp.zeros(1)), "p", (-0.7, 0.7), direction=-1
     )
     assert (one_way.p[0], one_way.p[-1], one_way.ended_first) == (-0.2, -0.7, "")
 
 
-def test_a_search_without_an_equilibrium_says_so():
+def test_failures_are_named():
+    with pytest.raises(ValueError, match=r"`parameter` must be one of \['a', 'b'\]"):
+        find_hopf_point(brusselator(), "c", (jnp.ones(1), jnp.ones(1)))
     with pytest.raises(RuntimeError, match="No equilibrium was found near `guess`"):
         find_equilibrium(bistable(1.0, 0.0), (jnp.ones(1), jnp.zeros(1)))

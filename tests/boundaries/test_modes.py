@@ -2,13 +2,14 @@
 
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import optimize
 
-from jaxchain import paper_chain
+from jaxchain import ExponentialDecay, paper_chain
 from jaxchain.boundaries import complex_modes, find_hopf_point
 from jaxchain.model import MechanicalCells
 
@@ -45,26 +46,37 @@ def onset(damping=0.01):
     return mu, abs(np.imag(values[np.real(values).argmax()]))
 
 
+class Bend(eqx.Module):
+    """Forces that are not linear, so that the equilibrium moves."""
+
+    cubic: jax.Array
+
+    def __call__(self, q, v):
+        return 1.0 - self.cubic * q[0] ** 3, -0.2 * q[1] ** 2
+
+
 @pytest.mark.long
 def test_flutter_of_many_displacements_is_found_from_any_start():
     mu, omega = onset()
 
     @jax.jit
+    @jax.value_and_grad
     def critical(damping, start):
-        def value(damping):
-            cells = brake(damping, start)
-            found = find_hopf_point(cells, "friction", REST, bounds=(0.0, 0.5), throw=False)
-            return found.value, found
-
-        return jax.value_and_grad(value, has_aux=True)(damping)
+        cells = brake(damping, start)
+        found = find_hopf_point(cells, "friction", REST, bounds=(0.0, 0.5), throw=False)
+        return found.value
 
     step = 1e-4
     one, two = (onset(0.01 + k * step)[0] - onset(0.01 - k * step)[0] for k in (1, 2))
+    by_differences = (8.0 * one - two) / (12.0 * step)
     for start in (0.0, 0.4):
-        (value, found), slope = critical(0.01, start)
-        assert float(value) == pytest.approx(mu, rel=1e-12)
-        assert float(found.frequency) == pytest.approx(omega, rel=1e-12)
-        assert float(slope) == pytest.approx((8.0 * one - two) / (12.0 * step), rel=1e-6)
+        value, slope = critical(0.01, start)
+        assert abs(float(value) / mu - 1.0) < 1e-12
+        assert abs(float(slope) / by_differences - 1.0) < 1e-6
+    found = find_hopf_point(brake(friction=0.1), "friction", REST, bounds=(0.0, 0.5))
+    assert abs(float(found.frequency) / omega - 1.0) < 1e-12
+    with pytest.raises(ValueError, match="`bounds` must be finite and around"):
+        find_hopf_point(brake(friction=0.7), "friction", REST, bounds=(0.0, 0.5))
 
 
 def test_modes_of_many_displacements_are_those_of_numpy_and_do_not_jump():
@@ -95,15 +107,16 @@ def test_shapes_and_slopes_have_derivatives():
 
     @jax.jit
     def table(cubic, friction):
-        bend = lambda q, v: (1.0 - cubic * q[0] ** 3, -0.2 * q[1] ** 2)
         cells = MechanicalCells(
             [[2.0, 0.5], [0.5, 1.0]], damping=0.1, plus={"friction": [[0.3, -1.0], [0.0, 0.0]]},
-            local_force=bend,
+            local_force=Bend(jnp.asarray(cubic)),
         )  # fmt: skip
         modes = complex_modes(cells, over={"friction": friction})
         return modes.eigenvalues[:, :2], modes.shapes[0][:, :2], modes.slopes[:, :2]
 
-    (_, _, slopes), by_jax = jax.jvp(lambda cubic: table(cubic, mu), (0.4,), (1.0,))
+    (_, _, slopes), by_jax = jax.jit(
+        lambda cubic: jax.jvp(lambda c: table(c, mu), (cubic,), (1.0,))
+    )(0.4)
     ahead, behind = (table(0.4 + sign * h, mu) for sign in (1.0, -1.0))
     for slope, a, b in zip(by_jax, ahead, behind, strict=True):
         np.testing.assert_allclose(slope, (a - b) / (2.0 * h), rtol=1e-6, atol=1e-7)
@@ -112,7 +125,16 @@ def test_shapes_and_slopes_have_derivatives():
 
 
 @pytest.mark.long
-def test_a_pair_that_becomes_two_real_eigenvalues_gets_a_second_column():
+def test_modes_cross_without_an_exchange():
+    """Two uncoupled displacements: the frequency of one passes that of the other."""
+    cells = MechanicalCells([[1.0, 0.0], [0.0, 2.0]], damping=0.1)
+    modes = complex_modes(cells, over={"stiffness[0, 0]": np.linspace(1.0, 3.1, 12)})
+    first = np.asarray(modes.frequency[:, 0]) ** 2 + 0.05**2
+    np.testing.assert_allclose(first, np.linspace(1.0, 3.1, 12), rtol=1e-9)
+    data = modes.to_dataset()
+    assert data["frequency"].dims == ("stiffness[0, 0]", "mode")
+    np.testing.assert_allclose(data["shape_real"].sel(mode=1, component="q1"), 1.0)
+    # A pair that becomes two real eigenvalues gets a second column.
     c = np.array([1.0, 1.9, 2.5, 3.0])
     modes = complex_modes(MechanicalCells(1.0), over={"damping": c})
     assert modes.eigenvalues.shape == (4, 2)
@@ -124,9 +146,24 @@ def test_a_pair_that_becomes_two_real_eigenvalues_gets_a_second_column():
 
 @pytest.mark.long
 def test_double_modes_of_a_chain_have_slopes():
-    """Waves q and -q, of the growth rate exp(-2 v_d) / 2 - xi."""
-    chain = paper_chain(4, width=None)
-    modes = complex_modes(chain, over={"belt_speed": [1.0, 1.5]})
-    fall = np.exp(-2 * np.array([[1.0], [1.5]]))
-    np.testing.assert_allclose(modes.growth_rate, np.tile(fall / 2 - 0.05, 4), rtol=1e-7)
-    np.testing.assert_allclose(np.real(modes.slopes), np.tile(-fall, 4), rtol=1e-6)
+    """Waves q and -q."""
+    chain = paper_chain(4, belt_speed=1.0, width=None)
+    modes = complex_modes(chain, over={"belt_speed": [1.0, 1.0001]})
+    for row, speed in zip(np.asarray(modes.eigenvalues), (1.0, 1.0001), strict=True):
+        np.testing.assert_allclose(row.real, np.exp(-2 * speed) / 2 - 0.05, rtol=1e-7)
+    growth = modes.growth_rate
+    np.testing.assert_allclose(
+        jnp.real(modes.slopes[0]), (growth[1] - growth[0]) / 1e-4, rtol=1e-3
+    )
+
+
+@pytest.mark.long
+def test_a_dry_mass_on_a_belt_at_rest_has_no_modes():
+    law = ExponentialDecay(1.0, 0.5, 0.5)
+    cells = MechanicalCells(1.0, damping=0.1, friction=law, belt_speed=0.0)
+    found = complex_modes(cells, over={"belt_speed": [0.0, 1.0]})
+    assert found.successful.tolist() == [False, True]
+    with pytest.raises(RuntimeError, match="let the belt move"):
+        complex_modes(cells)
+    with pytest.raises(ValueError, match="must increase or decrease"):
+        complex_modes(cells, over={"belt_speed": [1.0, 0.5, 0.7]})

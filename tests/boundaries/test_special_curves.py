@@ -1,6 +1,7 @@
 """Curves of special points against closed forms, SciPy and single searches."""
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,14 +16,15 @@ from jaxchain import (
     continue_special,
     equation_8,
     find_limit_cycle,
+    fold_belt_speed,
     paper_chain,
     simulate,
+    steady_sliding,
 )
 from jaxchain.boundaries import find_fold, find_hopf_point, find_special_cycle, special_curves
-from jaxchain.model import AbstractCells, GaussianStribeck, MechanicalCells
+from jaxchain.model import AbstractCells, Duffing, GaussianStribeck, MechanicalCells
 
 # The generalised Hopf point of one mass of the paper at width 0.05: (belt speed, damping ratio).
-# There mu tanh has no third derivative.
 MEETING = 0.268344380439181, 0.291637020981561
 
 
@@ -77,10 +79,12 @@ def test_hopf_points_end_where_their_frequency_is_zero(monkeypatch):
     point = find_hopf_point(BogdanovTakens(*numbers(0.05, -1.0)), "a", at_rest(2))
     curve = continue_special(point, "b", bounds={"b": (-2, 2)})
     assert curve.ended == ("left_bounds", "Bogdanov-Takens")
+    assert curve.second[0] == -2.0
     np.testing.assert_allclose(curve.first, 0.0, atol=1e-12)
     np.testing.assert_allclose(curve.period[:-1], 2 * np.pi / np.sqrt(-curve.second[:-1]))
     (end,) = curve.of_kind("Bogdanov-Takens")
     assert (end.first, end.second) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert end.index == len(curve.first) - 2
 
     def interrupt(count, point):
         if count == 5:
@@ -90,6 +94,9 @@ def test_hopf_points_end_where_their_frequency_is_zero(monkeypatch):
     monkeypatch.setattr(special_curves, "continue_branch", follow)
     curve = continue_special(point, "b", bounds={"b": (-2, 2)})
     assert (curve.ended, len(curve.second)) == (("interrupted", "interrupted"), 5)
+    assert "Interrupted from the keyboard" in curve.message
+    with pytest.raises(KeyboardInterrupt):
+        continue_special(point, "b", bounds={"b": (-2, 2)}, keep_part=False)
 
 
 def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_point():
@@ -114,6 +121,10 @@ def test_the_hopf_curve_of_a_chain_has_its_speeds_slopes_and_generalised_hopf_po
     curve = continue_special(point, "damping_ratio", bounds=bounds)
     (meeting,) = curve.of_kind("generalised Hopf")
     assert curve.second[meeting.index] < meeting.second < curve.second[meeting.index + 1]
+    # There mu tanh has no third derivative, and the Lyapunov coefficient changes its sign.
+    h = 1e-3
+    third = (slope(MEETING[0] + h) - 2 * slope(MEETING[0]) + slope(MEETING[0] - h)) / h**2
+    assert third == pytest.approx(0.0, abs=1e-3)
     with pytest.raises(RuntimeError, match="No Hopf point in `belt_speed` was found near `guess`"):
         find_hopf_point(chain.with_(damping_ratio=9.0), "belt_speed", at_rest(2))
 
@@ -134,23 +145,31 @@ class Slaved(AbstractCells):
 
 @pytest.mark.long
 def test_the_lyapunov_coefficient_of_several_numbers_is_that_of_the_normal_form():
-    """2 (b - 1 / c) jumps through infinity at c = 0, and is zero at c = 1 / b alone."""
-    point = find_hopf_point(Slaved(*numbers(0.1, -1.5, -0.5)), "a", at_rest(3))
-    # z = sqrt(2) w in the coordinates of <q, q> = 1, and R = 2 |w|^2.
-    assert float(point.lyapunov_coefficient) == pytest.approx(2.0 * (-1.5 + 2.0), rel=1e-12)
+    """2 (b - 1 / c) jumps through infinity at c = 0, and is zero at c = 1 / b alone.
+
+    Modes that cross together have none.
+    """
+    chain = paper_chain(3)
+    point = find_hopf_point(chain, "belt_speed", steady_sliding(chain), frequency=1.03**0.5)
+    assert np.isnan(point.lyapunov_coefficient)
+    for b, c in ((-1.0, -4.0), (-1.5, -0.5)):
+        point = find_hopf_point(Slaved(*numbers(0.1, b, c)), "a", at_rest(3))
+        # z = sqrt(2) w in the coordinates of <q, q> = 1, and R = 2 |w|^2.
+        assert float(point.lyapunov_coefficient) == pytest.approx(2.0 * (b - 1 / c), rel=1e-12)
     curve = continue_special(point, "c", bounds={"c": (-1.0, 1.0)}, max_step=0.2)
     (zero,) = curve.of_kind("generalised Hopf")
     assert zero.second == pytest.approx(-1.0 / 1.5, abs=1e-9)
+    assert np.isfinite(zero.error)
 
 
-def smooth_orbit(chain, v, state, period):
+def smooth_orbit(chain, v, state, period, sign=-1.0):
     """SciPy's slip cycle of one mass: (gaps, greatest w, the multiplier by Liouville)."""
-    xi, v_ref = float(chain.damping_ratio), float(chain.law.v_ref)
+    law, xi = chain.law, float(chain.damping_ratio)
 
     def rate(t, y):
-        s = (v - y[1]) / v_ref
-        drop = 0.5 * np.exp(-(s**2))
-        return [y[1], 0.5 + drop - 2 * xi * y[1] - y[0], 2 * s / v_ref * drop - 2 * xi]
+        s = sign * (y[1] - v)
+        mu, slope = (float(f(s)) for f in (law.coefficient, jax.grad(law.coefficient)))
+        return [y[1], -2 * xi * y[1] - y[0] - sign * mu, -2 * xi - slope]
 
     run = solve_ivp(
         rate, (0.0, period), [*state, 0.0], method="DOP853", rtol=1e-12, atol=1e-13, max_step=0.1
@@ -162,8 +181,8 @@ def smooth_orbit(chain, v, state, period):
 def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
     chain = paper_chain(1, friction=GaussianStribeck(1.0, 0.5, 0.5, 0.0))
     curves = [
-        continue_special(find_fold(chain.with_(v_ref=v)), "v_ref", bounds={"v_ref": span})
-        for v, span in ((0.6, (0.55, 1.05)), (1.1, (0.9, 1.15)))
+        continue_special(find_fold(chain.with_(v_ref=v)), "v_ref", bounds={"v_ref": (0.5, 1.3)})
+        for v in (0.6, 1.1)
     ]
     assert [curve.kind for curve in curves] == ["grazing fold", "fold"]
     meetings = [curve.of_kind("degenerate grazing")[0] for curve in curves]
@@ -171,19 +190,23 @@ def test_a_dry_fold_curve_passes_from_grazing_to_smooth_folds():
     assert meetings[0].first == pytest.approx(meetings[1].first, abs=1e-10)
     for curve in curves:
         assert curve.ended == ("left_bounds", "left_bounds")
-        grazes = np.array(curve.kinds) == "grazing fold"
+        grazes = [kind == "grazing fold" for kind in curve.kinds]
         away = np.abs(curve.second - meetings[0].second) > 1e-9
-        assert np.array_equal(grazes[away], (curve.second < meetings[0].second)[away])
-        for k in (0, -1):
+        assert np.array_equal(np.array(grazes)[away], (curve.second < meetings[0].second)[away])
+        folds = jax.vmap(lambda q: fold_belt_speed(chain.with_(v_ref=q)))(curve.second)
+        np.testing.assert_allclose(curve.first, folds, atol=1e-9)
+        for k in (0, len(grazes) // 2, -1):
             there, state = chain.with_(v_ref=curve.second[k]), [p[k, 0] for p in curve.state]
             gaps, highest, multiplier = smooth_orbit(there, curve.first[k], state, curve.period[k])
             np.testing.assert_allclose(gaps, 0.0, atol=1e-9)
             assert highest == pytest.approx(0.0, abs=1e-9) if grazes[k] else highest < -1e-3
             assert multiplier > 1.01 if grazes[k] else multiplier == pytest.approx(1, abs=1e-7)
     # There the cycle that grazes has the multiplier 1.
-    u, there = meetings[0].unknowns, chain.with_(v_ref=meetings[0].second)
+    u = meetings[0].unknowns
+    there = chain.with_(v_ref=meetings[0].second)
     _, highest, multiplier = smooth_orbit(there, meetings[0].first, u[:2], u[2])
     assert (highest, multiplier) == pytest.approx((0.0, 1.0), abs=1e-8)
+    assert curves[0].to_dataset().point_kind.values.tolist() == list(curves[0].kinds)
 
 
 @pytest.mark.long
@@ -193,8 +216,14 @@ def test_a_curve_ends_with_the_name_of_the_number_that_vanishes(dry_fold):
     assert curve.ended == ("mu_dynamic = 0", "belt_speed = 0")
     assert "It ends where belt_speed = 0." in curve.message
     assert 0.0 <= curve.first[-1] < 1e-6
+    assert np.all(curve.first[:-1] > 0)
     assert np.all(curve.second >= 0)
     assert not curve.special  # what is seen at a belt speed of 1e-8 is rounding
+    some = curve.second[5:-5:7]
+    folds = jax.jit(jax.vmap(lambda q: fold_belt_speed(dry_fold.chain.with_(mu_dynamic=q))))(some)
+    np.testing.assert_allclose(curve.first[5:-5:7], folds, atol=1e-9)
+    with pytest.raises(ValueError, match="`kind`"):
+        find_special_cycle((dry_fold.state, dry_fold.period), dry_fold.chain, kind="fold", mass=0)
     smoothed = dry_fold.chain.with_(width=0.01)
     with pytest.raises(ValueError, match="needs dry friction"):
         find_special_cycle((dry_fold.state, dry_fold.period), smoothed, kind="release")
@@ -208,23 +237,28 @@ def test_at_a_release_the_force_just_reaches_the_static_limit():
     cells = MechanicalCells(
         1.0, damping=0.1, friction=law, belt_speed=0.2, force=0.2, frequency=2.5
     )
-    period = 6 * np.pi / 2.5
-    settled = simulate(cells, (jnp.ones(1), jnp.zeros(1)), 60 * period).state
-    point = find_special_cycle((settled, period), cells, kind="release", mass=0, parameter="force")
+    forcing_periods, step = 3, 2 * np.pi / 2.5
+    settled = simulate(cells, (jnp.ones(1), jnp.zeros(1)), 60 * forcing_periods * step).state
+    start = settled, forcing_periods * step
+    point = find_special_cycle(start, cells, kind="release", mass=0, parameter="force")
     # SciPy's slip phase, then x grows linearly and r = F cos(omega t) - v_d / 10 - x.
-    x, v, t, slip, turn, rest, force = map(float, point.unknowns)
+    phases: Any = point.orbit
+    assert [event for event, _, _ in phases.sequence] == ["landing", "turn", "release"]
+    x, v, t, *lengths, force = map(float, point.unknowns)
 
     def rate(t, y):
         mu = 0.5 + 0.5 * np.exp(-(0.2 - y[1]) / 0.5)
         return [y[1], force * np.cos(2.5 * t) - 0.1 * y[1] - y[0] + mu]
 
-    landed = solve_ivp(rate, (t, t + slip), [x, v], "DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    for stuck in (turn, turn + rest):
-        r = force * np.cos(2.5 * (t + slip + stuck)) - 0.02 - landed[0] - 0.2 * stuck
+    run = solve_ivp(rate, (t, t + lengths[0]), [x, v], method="DOP853", rtol=1e-12, atol=1e-13)
+    landed, t = run.y[0, -1], t + lengths[0]
+    assert run.y[1, -1] == pytest.approx(0.2, abs=1e-9)
+    turn, end = t + lengths[1], t + lengths[1] + lengths[2]
+    for time in (turn, end):
+        r = force * np.cos(2.5 * time) - 0.02 - landed - 0.2 * (time - t)
         assert r == pytest.approx(-1.0, abs=1e-9)
-    assert -2.5 * force * np.sin(2.5 * (t + slip + turn)) == pytest.approx(0.2, abs=1e-9)
-    assert (x, v) == pytest.approx((landed[0] + 0.2 * (turn + rest), 0.2), abs=1e-9)
-    assert landed[1] == pytest.approx(0.2, abs=1e-9)
+    assert -2.5 * force * np.sin(2.5 * turn) == pytest.approx(0.2, abs=1e-9)
+    assert (landed + 0.2 * (end - t), 0.2) == pytest.approx((x, v), abs=1e-9)
 
 
 @pytest.mark.long
@@ -234,6 +268,11 @@ def test_another_mass_sticks_beyond_its_grazing_through_a_change_of_order():
     )
     cycle = find_limit_cycle(chain, simulate(chain, equation_8(chain, 1), 300.0), mass=0)
     point = find_special_cycle(cycle, kind="grazing", mass=1, parameter="coupling")
+    # A belt that runs the other way.
+    back = chain.with_(belt_speed=-0.6)
+    other = tuple(-part for part in cycle.state), cycle.period
+    mirrored = find_special_cycle(other, back, kind="grazing", mass=1, parameter="coupling")
+    assert float(mirrored.value) == pytest.approx(float(point.value), abs=1e-10)
     curve = continue_special(point, "belt_speed", bounds={"belt_speed": (0.3, 2.0)})
     assert curve.ended == ("left_bounds", "another stick onset")
     # The peak of mass 1 comes before or after an event of mass 0.
@@ -254,13 +293,18 @@ def test_folds_end_in_the_generalised_hopf_point():
     curve = continue_special(fold, "damping_ratio", bounds={"damping_ratio": (0.04, 1.0)})
     assert curve.ended == ("left_bounds", "generalised Hopf")
     assert (curve.first[-1], curve.second[-1]) == pytest.approx(MEETING, abs=1e-9)
-    # The amplitude falls with the square root of the distance, so the last folds lie close by.
     assert curve.amplitude[-1, 0] == 0.0
+    # The amplitude falls with the square root of the distance, so the last folds lie close by.
     assert curve.amplitude[-2, 0] < 5e-3
     assert np.all(np.diff(curve.amplitude[:, 0]) < 0)
-    assert float(curve.at(4).value) == pytest.approx(curve.first[4], abs=1e-10)
+    again = curve.at(4)
+    assert float(again.value) == pytest.approx(curve.first[4], abs=1e-10)
     with pytest.raises(ValueError, match="amplitude is 0"):
         curve.at(-1)
+    data = curve.to_dataset()
+    assert data.damping_ratio.attrs["units"] == "1"
+    assert data.special_kind.values.tolist() == ["generalised Hopf"]
+    assert data.attrs["ended_last"] == "generalised Hopf"
 
 
 @pytest.mark.long
@@ -291,3 +335,32 @@ def test_folds_and_tori_of_driven_cells_are_those_of_the_closed_form():
     p, q = curve.first[5], curve.second[5]
     slope = jax.grad(lambda d: curve.at(5, cells.with_(delta=d)).value)(q)
     assert float(slope) == pytest.approx(q / (2 * p), abs=1e-8)
+
+
+@pytest.mark.long
+def test_period_doublings_are_those_of_scipy():
+    cells = Duffing(force=0.25, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
+    cycle = find_limit_cycle(cells, (jnp.ones(1), jnp.zeros(1)))
+    branch = continue_cycle(cycle, parameter="force", bounds=(0.2, 0.4))
+    curve = continue_special(
+        branch.of_kind("period doubling")[0], "frequency", bounds={"frequency": (1.0, 1.5)}
+    )
+    assert curve.ended == ("left_bounds", "left_bounds")
+    for k in range(0, len(curve.first), 5):
+        force, omega = curve.first[k], curve.second[k]
+
+        def rate(t, y, force=force, omega=omega):
+            x, v, *M = y
+            a, b, c, d = M
+            pull = 1.0 - 3.0 * x**2
+            drive = force * np.cos(omega * t) - 0.3 * v + x - x**3
+            return [v, drive, b, pull * a - 0.3 * b, d, pull * c - 0.3 * d]
+
+        start = [part[k, 0] for part in curve.state]
+        end = solve_ivp(
+            rate, (0.0, 2 * np.pi / omega), [*start, 1, 0, 0, 1], method="DOP853", rtol=1e-12,
+            atol=1e-13,
+        ).y[:, -1]  # fmt: skip
+        np.testing.assert_allclose(end[:2], start, atol=1e-9)
+        multipliers = np.linalg.eigvals(end[2:].reshape(2, 2))
+        assert np.min(abs(multipliers + 1.0)) < 1e-8

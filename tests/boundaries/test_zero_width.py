@@ -83,6 +83,7 @@ def test_the_bar_holds_for_folds_of_dry_friction():
     wrong, bar = np.abs(found.fold_limit - found.fold_dry)[known], found.fold_limit_error[known]
     assert np.all(wrong <= bar)
     assert np.median(bar / found.fold_dry[known]) < 1e-5
+    assert np.median(wrong / found.fold_dry[known]) < 1e-6
     # At the chain's own width, 1e-3, all are biased, by far more than the bar.
     assert np.all((found.fold_limit - found.fold)[known] > 100 * bar)
     np.testing.assert_allclose(found.fold[0], 1.831129820, rtol=1e-8)  # by continuation

@@ -10,9 +10,17 @@ from systems.flows import LORENZ, LORENZ_DIVERGENCE, Lorenz63, linear_chain
 from witnesses import numbers_of
 from witnesses.event_driven import vibrating_cycle
 
-from jaxchain import EventDriven, Rodas5P, equation_8, find_limit_cycle, paper_chain
+from jaxchain import (
+    EventDriven,
+    Rodas5P,
+    equation_8,
+    find_limit_cycle,
+    paper_chain,
+)
 from jaxchain.chaos.lyapunov import batch_error, kaplan_yorke_dimension, lyapunov_spectrum
+from jaxchain.cycles.floquet import trace_integral
 from jaxchain.model import MechanicalCells
+from jaxchain.result import NAMES, code
 
 
 def dry(chain, initial, t1, transient, interval=1.0, max_step=0.1):
@@ -21,6 +29,18 @@ def dry(chain, initial, t1, transient, interval=1.0, max_step=0.1):
         chain, initial, t1, transient=transient, interval=interval, solver=EventDriven(order=8),
         rtol=1e-9, max_step=max_step,
     )  # fmt: skip
+
+
+def apart(belt_speed):
+    """Three masses of the paper without coupling."""
+    return paper_chain(3, belt_speed).with_(coupling=np.zeros(3))
+
+
+def resting_rate(chain):
+    """Real part of the eigenvalues of one mass that slides: -xi + mu-slope / 2."""
+    law, speed = chain.law, chain.belt_speed
+    drop = (law.mu_static - law.mu_dynamic) / law.v_ref * jnp.exp(-speed / law.v_ref)
+    return float(-chain.damping_ratio + 0.5 * drop)
 
 
 def test_dry_cells_slide_vibrate_and_shrink_fast_in_intervals_as_short_as_that_takes():
@@ -32,9 +52,7 @@ def test_dry_cells_slide_vibrate_and_shrink_fast_in_intervals_as_short_as_that_t
     chain = paper_chain(1, 1.5, None)
     cell = MechanicalCells(1.0, damping=0.1, friction=chain.friction, belt_speed=1.5)
     start = jnp.array([0.5]), jnp.zeros(1)
-    cycle = vibrating_cycle(numbers_of(chain))
-    # Of a mass that slides, -xi + mu-slope / 2 is the real part of both eigenvalues.
-    rate = -0.05 + 0.5 * np.exp(-1.5 / 0.5)
+    cycle, rate = vibrating_cycle(numbers_of(chain)), resting_rate(chain)
     assert cycle is not None
     period, damped = cycle.period, cell.with_(damping=100.0)
     exact = np.linalg.eigvals(
@@ -64,7 +82,7 @@ def test_a_run_goes_on_where_it_ended():
 
 
 def test_a_run_that_fails_says_why():
-    chain = paper_chain(3, 1.5).with_(coupling=np.zeros(3), damping_ratio=-5.0)
+    chain = apart(1.5).with_(damping_ratio=-5.0)
     with pytest.raises(RuntimeError, match="nonfinite"):
         dry(chain, equation_8(chain, 1), 1000.0, 10.0)
 
@@ -106,16 +124,22 @@ def test_kaplan_yorke_dimension():
 
 @pytest.mark.long
 def test_a_smoothed_cycle_has_the_exponents_of_its_multipliers():
-    chain = paper_chain(1, 1.5, width=0.1)
-    cycle = find_limit_cycle(chain)
-    period = float(cycle.period)
-    second = np.log(abs(complex(cycle.multipliers[0]))) / period
-    found = lyapunov_spectrum(
-        chain, cycle.state, 108 * period, transient=100 * period, blocks=4, rtol=1e-9,
-        interval=period / round(period), max_step=1.0, solver=Rodas5P(),
-    )  # fmt: skip
-    np.testing.assert_allclose(found.exponents, [0.0, second], atol=1e-6, rtol=1e-6)
-    np.testing.assert_allclose([found.mean_divergence, found.sum], second, rtol=2e-6)
+    """Width 0.1: log |multiplier| / T; width 1e-2, where that is below rounding: Liouville's."""
+    for width, rtol, steps in ((0.1, 1e-9, 1.0), (0.01, 1e-10, 0.02)):
+        chain = paper_chain(1, 1.5, width=width)
+        cycle = find_limit_cycle(chain)
+        period = float(cycle.period)
+        second = float(trace_integral(chain, cycle.state, period)) / period
+        if width == 0.1:
+            multiplier = abs(complex(cycle.multipliers[0]))
+            assert second == pytest.approx(np.log(multiplier) / period, rel=1e-6)
+        found = lyapunov_spectrum(
+            chain, cycle.state, 108 * period, transient=100 * period, blocks=4, rtol=rtol,
+            interval=period / round(period / steps), max_step=steps, solver=Rodas5P(),
+        )  # fmt: skip
+        np.testing.assert_allclose(found.exponents, [0.0, second], atol=1e-6, rtol=1e-6)
+        assert float(found.mean_divergence) == pytest.approx(second, rel=1e-6)
+        assert float(found.sum) == pytest.approx(float(found.mean_divergence), rel=2e-6)
 
 
 def test_the_sum_is_the_mean_divergence_for_a_narrow_width():
@@ -139,3 +163,39 @@ def test_lorenz():
     assert found.chaotic() is True
     assert float(found.sum) == pytest.approx(LORENZ_DIVERGENCE, abs=1e-4)
     assert float(found.kaplan_yorke) == pytest.approx(2.062, abs=2e-3)
+
+
+@pytest.mark.long
+def test_a_traced_window_that_is_none_is_a_failure():
+    chain = paper_chain(1)
+
+    @jax.jit
+    @jax.vmap
+    def measure(t1, transient):
+        found = lyapunov_spectrum(
+            chain, equation_8(chain, 1), t1, transient=transient, count=1, blocks=2,
+            solver=EventDriven(), throw=False,
+        )  # fmt: skip
+        return code(found.result), found.exponents, found.low
+
+    t1 = jnp.array([20.0, 10.0, 5.0, jnp.nan, 20.0, 20.0])
+    transient = jnp.array([10.0, 10.0, 10.0, 10.0, jnp.nan, -1.0])
+    results, exponents, low = measure(t1, transient)
+    assert [NAMES[i] for i in results.tolist()] == ["successful", *5 * ["bad_span"]]
+    assert np.isfinite(exponents[0]).all()
+    assert np.isnan(exponents[1:]).all()
+    assert np.isnan(low[1:]).all()
+
+
+@pytest.mark.long
+def test_a_linear_chain_that_swings():
+    """All real parts are -xi; the plain averages get there like 1 / t, the smooth ones do not."""
+    chain, exact = linear_chain(3, 0.05, np.array([0.20, 0.22, 0.43]))
+    np.testing.assert_allclose(exact, -0.05, atol=1e-14)
+    found = dry(chain, (jnp.array([1.0, -0.5, 0.3]), jnp.zeros(3)), 5000.0, 50.0)
+    np.testing.assert_allclose(found.smooth, exact, atol=1e-10, rtol=0)
+    error = np.abs(found.exponents - exact)
+    assert 1e-7 < np.max(error) < 1e-4
+    assert np.all(error <= found.high - found.exponents)
+    assert float(found.sum) == pytest.approx(-0.3, abs=1e-4)
+    assert np.isnan(found.mean_divergence)

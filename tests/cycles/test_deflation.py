@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from jaxchain import find_limit_cycle, simulate
+from jaxchain import Trajectory, find_limit_cycle, simulate
 from jaxchain.cycles import find_limit_cycles
 from jaxchain.model import Duffing, VanDerPol
 
@@ -54,12 +54,19 @@ def test_a_forced_cycle_is_one_at_every_period_of_its_force_and_shorter_ones_are
     """Of the two wells of Duffing's oscillator one is visited with twice the forcing period."""
     well = Duffing(force=0.28, frequency=1.2, damping=0.3, stiffness=-1.0, cubic=1.0)
     forced = float(well.forcing_period())
-    run = simulate(well, (jnp.ones(1), jnp.zeros(1)), 200 * forced)
+    times = forced * jnp.array([200.0, 201.0])
+    run = simulate(well, (jnp.ones(1), jnp.zeros(1)), times[-1], observe=Trajectory(times))
     once = find_limit_cycle(well, (jnp.ones(1), jnp.zeros(1)), period=forced, throw=False)
+    assert once.turns == 1
     assert bool(once.successful)
-    states = tuple(jnp.stack(parts) for parts in zip(run.state, once.state, strict=True))
-    search = find_limit_cycles(well, (states, jnp.full(2, 2.0 * forced)), rounds=1, lanes=2)
+    states = tuple(
+        jnp.concatenate([part, one[None]])
+        for part, one in zip(run.observed, once.state, strict=True)
+    )
+    assert float(jnp.abs(states[0][1] - states[0][0])[0]) > 0.1
+    periods = jnp.full(3, 2.0 * forced)
+    search = find_limit_cycles(well, (states, periods), rounds=1, lanes=3)
     (cycle,) = search.cycles
     assert (cycle.turns, int(cycle.times_round)) == (2, 1)
-    assert search.outcomes.tolist() == [[0, -1]]
-    assert search.failures == {"shorter period": 1}
+    assert search.outcomes.tolist() == [[0, 0, -1]]
+    assert search.failures == {"copy": 1, "shorter period": 1}

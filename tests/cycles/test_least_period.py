@@ -3,9 +3,13 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems.piecewise import PiecewiseLinear
+from systems.piecewise import PiecewiseLinear, exact_cycle
 
-from jaxchain import find_limit_cycle, paper_chain, simulate
+from jaxchain import (
+    find_limit_cycle,
+    paper_chain,
+    simulate,
+)
 from jaxchain.cycles.variational import FACTORS, Returns
 
 SMOOTH = paper_chain(1, width=0.05, belt_speed=0.5)
@@ -33,3 +37,13 @@ def test_a_multiple_of_the_period_that_is_given_is_divided():
         # Multipliers over one period, not over several.
         np.testing.assert_allclose(again.multipliers, found.multipliers, rtol=1e-3)
         np.testing.assert_allclose(again.state, found.state, atol=1e-8)
+
+
+@pytest.mark.long
+def test_an_orbit_that_is_no_chain_has_its_least_period():
+    exact = exact_cycle(0.3, 0.5)
+    field = PiecewiseLinear(feed=jnp.asarray(0.3), damping=jnp.asarray(0.5))
+    start = jnp.full(1, exact["displacement"]), jnp.full(1, exact["fastest"])
+    cycle = find_limit_cycle(field, start, period=3 * exact["period"])
+    assert float(cycle.period) == pytest.approx(exact["period"], abs=1e-7)
+    assert complex(cycle.multipliers[0]) == pytest.approx(exact["multiplier"], abs=1e-5)

@@ -58,6 +58,25 @@ def branches_of(cells, n, start, bounds, symmetry=None):
     return branch, found
 
 
+def apart(one, other):
+    """The least distance of two patterns under rotations and reflections."""
+    return min(np.max(np.abs(one[at] - other)) for at in dihedral(len(one)))
+
+
+def check_different(found):
+    """None is a copy of another one but the halves that are said to be."""
+    ends = [(symmetry, side, other.amplitude[0]) for _, symmetry, side, other in found]
+    for k, (symmetry, side, pattern) in enumerate(ends):
+        assert np.ptp(pattern) > 1e-2
+        for other, other_side, another in ends[:k]:
+            if other is symmetry and symmetry.mirrored:
+                assert (side, other_side) == (-1, 1)
+                # The other half at a distance that differs by the next order.
+                assert apart(pattern, another) < 0.2 * np.ptp(pattern)
+            else:
+                assert apart(pattern, another) > 1e-3
+
+
 def check_ring(found, crossings):
     for point, symmetry, _, other in found:
         assert min(abs(point.parameter - K) for K in crossings) < 1e-9
@@ -82,6 +101,7 @@ def test_a_ring_of_six_has_two_kinds_of_axes():
     start = (jnp.ones(6), jnp.zeros(6)), 2 * np.pi / 3
     branch, found = branches_of(Ring(jnp.asarray(0.83)), 6, start, (0.15, 0.85))
     check_ring(found, [2 / (5 * (1 - np.cos(2 * np.pi * k / 6))) for k in range(1, 4)])
+    check_different(found)
     kinds = [sorted((s.label, s.mirrored) for s in point.symmetries) for point in branch.special]
     axes = [("D1 (axis between masses)", True), ("D1 (axis through mass 0)", True)]
     assert kinds == [axes, [("D2", False)], [("D3", True)]]
@@ -93,6 +113,19 @@ def wave(n, p, K):
     R, turned = 1 + K * (c - 1), np.exp(2j * np.pi * p * np.arange(n) / n)
     z, omega = np.sqrt(R) * turned, 2 + R + 2 * K * (c - 1)
     return (jnp.asarray(z.real), jnp.asarray(z.imag)), 2 * np.pi / omega
+
+
+def multipliers(n, p, K):
+    """Those of `wave`, of disturbances z (a exp(i q n) + b* exp(-i q n)) of z."""
+    angle, (_, period) = 2 * np.pi * p / n, wave(n, p, K)
+    c, rates = np.cos(angle), []
+    R = 1 + K * (c - 1)
+    for q in 2 * np.pi / n * np.arange(n):
+        ahead, back = (K * (np.cos(q + s * angle) - c) for s in (1, -1))
+        own = [[-(1 - 1j) * R] * 2, [-(1 + 1j) * R] * 2]
+        rates += [*np.linalg.eigvals(own + np.diag([(1 + 2j) * ahead, (1 - 2j) * back]))]
+    others = np.delete(rates, np.argmin(np.abs(rates)))  # 0 along the orbit
+    return np.exp(others * period)
 
 
 @pytest.mark.long
@@ -111,6 +144,9 @@ def test_a_rotating_wave_of_six_loses_half_of_its_shifts():
     assert (label, images, mirrored) == ("Z3, T/3", tuple(range(6)), True)
     assert shift == ((4, 5, 0, 1, 2, 3), 3)
     check_ring(found, [1 / 3])
+    # Of a period, from a sixth of it.
+    gaps = np.abs(branch.multipliers[0][:, None] - multipliers(6, 1, 0.36))
+    assert max(np.max(np.min(gaps, axis=axis)) for axis in (0, 1)) < 1e-7
     # In two numbers: K is proportional to a.
     data = continue_special(point, second="a", max_points=5).to_dataset()
     assert np.ptp(data.a.values) > 0.3
@@ -145,9 +181,11 @@ def test_subgroups_of_a_ring_one_of_each_class():
     assert label_of(dihedral(4), alike) == "D4"
     # An antiphase state, however its masses are counted.
     for images in ((0, 1, 0, 1), (0, 3, 0, 3)):
-        kept = finer(motions, images, ((1, 0, 3, 2), 2))
-        assert {label_of(motions, *one): one for one in kept} == {
-            "D2": (images, None),
+        less = {
+            label_of(motions, *kept): kept for kept in finer(motions, images, ((1, 0, 3, 2), 2))
+        }
+        assert less.pop("D2") == (images, None)
+        assert less == {
             "Z1": ((0, 1, 2, 3), None),
             "D1 (axis through mass 0)": ((0, 1, 2, 1), None),
             "D1 (axis between masses), T/2": ((0, 1, 2, 3), ((1, 0, 3, 2), 2)),

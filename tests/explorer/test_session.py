@@ -41,7 +41,7 @@ def test_the_run_is_that_of_simulate_and_a_parameter_changes_it_on_the_way(sessi
     assert all(a is b for a, b in zip(session.run.state, before, strict=True))
     go(session, 20.0)
     assert "frame" not in compiled
-    np.testing.assert_allclose(session.run.state, expected(before, 60.0, 80.0).state, atol=2e-4)
+    np.testing.assert_allclose(session.run.state, expected(before, 60.0, 80.0).state, atol=1e-4)
 
 
 @pytest.mark.parametrize("step", [0.05, 0.4, 7.0])

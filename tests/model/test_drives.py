@@ -8,6 +8,7 @@ import pytest
 from witnesses.driven import run
 
 from jaxchain import (
+    Coulomb,
     EventDriven,
     StaticKinetic,
     StickTime,
@@ -193,3 +194,13 @@ def test_a_table_is_read_from_a_file(tmp_path):
 def test_bad_drives_are_refused(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_a_belt_that_goes_to_and_fro_in_si_units():
+    """20 x'' + 10 x' + 70 x = -294.3 sign(x' - 2 sin(2 pi t / 50)), by another program."""
+    cells = MechanicalCells(
+        70.0, 20.0, damping=10.0, friction=Coulomb(1.0), normal_load=294.3,
+        belt_speed=lambda t: 2.0 * jnp.sin(2 * jnp.pi * t / 50),
+    )  # fmt: skip
+    x, _ = simulate(cells, (jnp.zeros(1),) * 2, 100.0, rtol=1e-12).state
+    assert float(x[0]) == pytest.approx(-4.191208700, abs=1e-9)

@@ -5,10 +5,12 @@ import inspect
 from types import SimpleNamespace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from jaxchain import ExponentialDecay, TanhFriction, simulate
 from jaxchain.model import (
@@ -20,7 +22,7 @@ from jaxchain.model import (
     RateAndState,
     VanDerPol,
 )
-from jaxchain.observers import PeakTimes
+from jaxchain.observers import PeakTimes, Trajectory
 
 FRICTION = TanhFriction(ExponentialDecay(1.0, 0.5, 0.5), 1e-2)
 
@@ -39,8 +41,8 @@ def some(cls, n, **static):
     return cls(**numbers, **static)
 
 
-# The right-hand sides once more, from the formulas of the docstrings; `d` is the sum of the
-# differences of the first number to both neighbours.
+# The right-hand sides once more, one cell at a time, from the formulas of the docstrings; `d` is
+# the sum of the differences of the first number to both neighbours.
 
 
 def mode_coupling(p, t, y, d):
@@ -88,13 +90,21 @@ def burridge_knopoff(p, t, y, d):
     return p.speed - v, (p.stiffness * u - p.coupling * d + friction) / p.mass
 
 
-def pendulums(p, t, y, sides):
-    """Springs between bobs, without the force that they have where all pendulums hang."""
-    angle, v = y
-    bob = p.length * np.array([np.sin(angle), 1 - np.cos(angle)])  # from where it hangs
-    along, up = p.coupling * sides(bob)
-    up = up - 1 - p.amplitude * p.frequency**2 * np.cos(p.frequency * t)
-    return v, (along * np.cos(angle) + up * np.sin(angle)) / p.length - p.damping * v
+def pendulums(p, t, angle, lengths):
+    """Of three neighbouring pendulums (angles, lengths): the force on the bob in the middle.
+
+    Springs between bobs, without the force that they have where all pendulums hang.
+    """
+    displacement = [
+        length * np.array([np.sin(a), -np.cos(a)])
+        for a, length in zip(angle, lengths, strict=True)
+    ]
+    hangs = [length * np.array([0.0, -1.0]) for length in lengths]
+    gravity = 1 + p.amplitude * p.frequency**2 * np.cos(p.frequency * t)
+    force = gravity * np.array([0.0, -1.0])
+    for k in (0, 2):
+        force = force + p.coupling * ((displacement[k] - displacement[1]) - (hangs[k] - hangs[1]))
+    return force @ [np.cos(angle[1]), np.sin(angle[1])] / lengths[1]
 
 
 BY_HAND = {
@@ -104,20 +114,33 @@ BY_HAND = {
 CLASSES = [*BY_HAND, Pendulums]
 
 
+def one_of(cells, n, k):
+    """The numbers of cell k of n."""
+    numbers = {
+        name: np.broadcast_to(np.asarray(value), (n,))[k]
+        for name, value in cells.parameters().items()
+    }
+    return SimpleNamespace(law=getattr(cells, "law", None), **numbers)
+
+
 def rate_by_hand(cells, t, y):
     """All rates of a state of shape (m, n)."""
-
-    def sides(a):
-        left, right = np.roll(a, 1, -1), np.roll(a, -1, -1)
+    n = y.shape[1]
+    rates = np.zeros_like(y)
+    for k in range(n):
+        before, behind = (k - 1) % n, (k + 1) % n
         if cells.ends == "free":
-            left[..., 0], right[..., -1] = a[..., 0], a[..., -1]
-        return left + right - 2 * a
-
-    numbers = {name: np.asarray(value) for name, value in cells.parameters().items()}
-    p = SimpleNamespace(law=getattr(cells, "law", None), **numbers)
-    if isinstance(cells, Pendulums):
-        return np.stack(pendulums(p, t, y, sides))
-    return np.stack(BY_HAND[type(cells)](p, t, y, sides(y[0])))
+            before, behind = max(k - 1, 0), min(k + 1, n - 1)
+        one = one_of(cells, n, k)
+        if isinstance(cells, Pendulums):
+            at = [before, k, behind]
+            lengths = np.broadcast_to(np.asarray(cells.length), (n,))
+            push = pendulums(one, t, y[0, at], lengths[at])
+            rates[:, k] = y[1, k], push - one.damping * y[1, k]
+        else:
+            d = y[0, before] + y[0, behind] - 2 * y[0, k]
+            rates[:, k] = BY_HAND[type(cells)](one, t, y[:, k], d)
+    return rates
 
 
 @pytest.mark.parametrize("cls", CLASSES)
@@ -131,15 +154,55 @@ def test_rates_are_those_of_the_formulas(cls):
             np.testing.assert_allclose(found, wanted, rtol=1e-11, atol=1e-12, err_msg=case)
 
 
-def test_a_lugre_block_sticks_and_slips_with_the_period_of_the_table():
-    watch = PeakTimes(capacity=5)
-    maxima = simulate(LuGre(), (jnp.zeros(1),) * 3, 30.0, rtol=1e-10, observe=watch).observed
-    assert np.diff(np.asarray(maxima)[:, 0])[-2] == pytest.approx(6.36272, abs=1e-5)
+@eqx.filter_jit
+def pulled(block, start, t1, times):
+    """(maxima and states of a run of a LuGre block); one program for all of its numbers."""
+    watch = PeakTimes(capacity=5), Trajectory(times)
+    return simulate(block, start, t1, rtol=1e-10, observe=watch).observed
+
+
+def test_a_lugre_block_sticks_and_slips_with_the_period_of_scipy_and_of_the_table():
+    block, rest = LuGre(), (jnp.zeros(1),) * 3
+    maxima, _ = pulled(block, rest, jnp.asarray(30.0), jnp.linspace(0.0, 30.0, 16))
+    period = np.diff(maxima[:, 0])[-2]
+    assert abs(period - 6.36272) < 1e-5
+
+    def rate(t, y):  # with the deflection z itself
+        u, v, z = y
+        g = 1.0 + 0.5 * np.exp(-((v / 0.001) ** 2))
+        dz = v - 1e5 * abs(v) * z / g
+        return 0.1 - v, 2 * u - 1e5 * z - np.sqrt(1e5) * dz - 0.4 * v, dz
+
+    def top(t, y):
+        return 0.1 - y[1]
+
+    vars(top).update(direction=-1)
+    tight = {"method": "Radau", "rtol": 1e-9, "atol": 1e-12}
+    times = solve_ivp(rate, (0, 30), [0, 0, 0], events=top, **tight).t_events[0]
+    np.testing.assert_allclose(period, np.diff(times)[-2], rtol=1e-6)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_the_force_of_dahls_bristles_depends_on_the_path_alone(direction):
+    block = LuGre(2.0, 2.0, 0.5 * direction, 10.0, 0.0, 0.3, coulomb_force=0.8, static_force=0.8)
+    start = (jnp.array([1.5 * direction]), jnp.array([0.2 * direction]), jnp.array([0.4]))
+    times = jnp.linspace(0.0, 1.5, 16)
+    _, states = pulled(block, start, jnp.asarray(1.5), times)
+    u, v, force = (np.asarray(part)[:, 0] for part in states)
+    assert np.all(v * direction > 0)
+    path = direction * (0.5 * direction * np.asarray(times) - (u - u[0]))
+    assert path[-1] > 0.5
+    limit = 0.8 * direction
+    expected = limit + (0.4 - limit) * np.exp(-10.0 * path / 0.8)
+    np.testing.assert_allclose(force, expected, atol=1e-9)
 
 
 NUMBERS = {"mass": 0.02, "speed": 1.3, "normal_stress": 10.0, "direct_effect": 0.5,
            "evolution_effect": 0.9, "slip_length": 0.7, "reference_friction": 0.6,
            "reference_speed": 0.4}  # fmt: skip
+
+
+CRITICAL = 10.0 * (0.9 - 0.5) / 0.7 * (1 + 0.02 * 1.3**2 / (10.0 * 0.5 * 0.7))
 
 
 @pytest.mark.parametrize("law", ["aging", "slip"])
@@ -153,27 +216,78 @@ def test_steady_sliding_loses_stability_at_the_stiffness_of_rice_and_ruina(law):
         rest = tuple(jnp.asarray(part, float)[None] for part in rest)
         return jnp.stack(block(0.0, rest)), block.jacobian(0.0, rest)
 
-    critical = 10.0 * (0.9 - 0.5) / 0.7 * (1 + 0.02 * 1.3**2 / (10.0 * 0.5 * 0.7))
-    rates, jacobian = linearised(critical)
+    rates, jacobian = linearised(CRITICAL)
     np.testing.assert_allclose(rates, 0.0, atol=1e-12)
-    values: Any = np.linalg.eigvals(jacobian)
+    eigenvalues: Any = np.linalg.eigvals
+    values = eigenvalues(jacobian)
     pair = values[np.abs(values.imag) > 0]
     np.testing.assert_allclose(pair.real, 0, atol=1e-9)
-    square = (critical * 1.3 / 0.7) / (0.02 * 1.3 / 0.7 + 10.0 * 0.5 / 1.3)
+    square = (CRITICAL * 1.3 / 0.7) / (0.02 * 1.3 / 0.7 + 10.0 * 0.5 / 1.3)
     np.testing.assert_allclose(np.abs(pair.imag), np.sqrt(square), rtol=1e-9)
-    for share, sign in ((0.99, 1), (1.01, -1)):
-        values = np.linalg.eigvals(linearised(share * critical)[1])
-        assert np.real(values).max() * sign > 1e-3
+    assert np.max(eigenvalues(linearised(0.99 * CRITICAL)[1]).real) > 1e-3
+    assert np.max(eigenvalues(linearised(1.01 * CRITICAL)[1]).real) < -1e-3
 
 
-@pytest.mark.parametrize("cls", CLASSES)
-def test_with_changes_one_number(cls):
-    cells = some(cls, 2)
-    for name, value in cells.parameters().items():
-        changed = cells.with_(**{name: 0.9 * np.asarray(value)}).parameters()
-        for other, number in cells.parameters().items():
-            factor = 0.9 if other == name else 1.0
-            np.testing.assert_array_equal(changed[other], factor * np.asarray(number))
+# Driven and self-excited oscillators.
+
+
+def multipliers(amplitudes):
+    """Floquet's, of the flat state of four alternating pendulums."""
+    length = 1.0 + 0.25 * (-1.0) ** jnp.arange(4)
+
+    # The flat state itself does not bound the steps.
+    @jax.jit
+    def monodromy(amplitude):
+        ring = Pendulums(length, amplitude, frequency=3.5, damping=0.1, coupling=1.0)
+
+        def flow(y):
+            end = simulate(ring, (y[:4], y[4:]), 2 * np.pi / 3.5, rtol=1e-9).state
+            return jnp.concatenate(end)
+
+        return jax.jacfwd(flow)(jnp.zeros(8))
+
+    return [np.linalg.eigvals(monodromy(a)) for a in amplitudes]
+
+
+@pytest.mark.long
+def test_flat_pendulums_have_the_multipliers_of_scipy_and_the_published_amplitude():
+    n, a, w = 4, 0.05, 3.5
+    length = 1 + 0.25 * (-1.0) ** np.arange(n)
+
+    def rate(t, y):
+        angle, v = y.reshape(2, n, 2 * n)
+        x = length[:, None] * angle
+        # Springs pull in proportion to the horizontal distance of the bobs.
+        force = np.roll(x, 1, 0) + np.roll(x, -1, 0) - 2 * x
+        force -= (1 + a * w**2 * np.cos(w * t)) * angle
+        return np.stack([v, force / length[:, None] - 0.1 * v]).ravel()
+
+    tight = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-13}
+    y = solve_ivp(rate, (0, 2 * np.pi / w), np.eye(2 * n).ravel(), **tight).y[:, -1]
+    expected = np.linalg.eigvals(y.reshape(2 * n, 2 * n))
+    below, above = 0.03993, 0.03995
+    found, *near = multipliers([a, below, above])
+    np.testing.assert_allclose(np.sort(np.abs(found)), np.sort(np.abs(expected)), atol=1e-7)
+    # The published ring of 32 loses stability by a wave that fits into one of 4, too.
+    low, high = (np.max(np.abs(m)) - 1 for m in near)
+    assert low < 0 < high
+    critical = below - low * (above - below) / (high - low)
+    assert abs(critical - 0.03994278) < 1e-7
+
+
+# Input.
+
+
+def test_with_changes_one_number():
+    for cls in CLASSES:
+        cells = some(cls, 2)
+        for name, value in cells.parameters().items():
+            changed = cells.with_(**{name: 0.9 * np.asarray(value)}).parameters()
+            for other, number in cells.parameters().items():
+                factor = 0.9 if other == name else 1.0
+                np.testing.assert_array_equal(changed[other], factor * np.asarray(number))
+        with pytest.raises(ValueError, match=r"does not know \['nothing'\]"):
+            cells.with_(nothing=1.0)
 
 
 def test_a_fault_switches_at_the_velocity_of_its_blocks():

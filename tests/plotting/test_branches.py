@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drawn import SCALES, legend
+from drawn import SCALES, legend, page_of
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from synthetic import cycle_branch, special_curve
@@ -12,6 +12,7 @@ from synthetic import cycle_branch, special_curve
 from jaxchain.cycles.shooting import Shooting
 from jaxchain.model.ready_made import VanDerPol
 from jaxchain.plotting.branches import MARKS, PARTS, plot_branch, plot_special_curves, smooth
+from jaxchain.plotting.style import COLUMN_WIDTH
 from jaxchain.solvers.rosenbrock import Rodas5P
 
 
@@ -30,8 +31,7 @@ def named(axes):
 
 def test_the_line_is_the_energy_solid_while_stable_and_dashed_beyond_the_fold():
     branch = cycle_branch()
-    axes = Figure().subplots()
-    assert plot_branch(branch, ax=axes) is axes
+    axes = plot_branch(branch)
     (stable,), (unstable,) = (named(axes)[word] for word in ("stable", "unstable"))
     assert stable.get_linestyle() == "-"
     assert unstable.get_linestyle() == "--"
@@ -53,6 +53,8 @@ def test_a_branch_of_cells_bears_no_symbols_of_a_chain():
     x, y = points(named(axes)["stable"][0])
     np.testing.assert_array_equal(x[:4], branch.parameter[:4])
     np.testing.assert_array_equal(y[:4], branch.amplitude[:4, 0])
+    assert plot_branch(data, "period").get_ylabel() == "least period T (–)"
+    assert data.period.attrs["units"] == "1"
 
 
 def test_special_points_are_marked_where_they_are_and_named():
@@ -67,16 +69,37 @@ def test_special_points_are_marked_where_they_are_and_named():
         assert line.get_marker() == marker
         if colour != "white":
             assert to_hex(line.get_color()) == to_hex(colour)
-    assert len({marker for marker, _, _ in MARKS.values()}) == len(MARKS)
+    looks = [(marker, colour) for marker, colour, _ in MARKS.values()]
+    assert len(set(looks)) == len({marker for marker, _ in looks}) == len(MARKS)
 
 
 def test_axes_in_si_units_have_scaled_numbers():
     axes, si = plot_branch(cycle_branch()), plot_branch(cycle_branch(), scales=SCALES)
-    assert si.get_xlabel() == "belt speed $v_d$ (m/s)"
+    assert axes.get_xlabel() == r"belt speed $\tilde v_d$ (–)"
+    assert (si.get_xlabel(), si.get_ylabel()) == (
+        "belt speed $v_d$ (m/s)", "vibration energy $E$ (m²)",
+    )  # fmt: skip
     for plain, own in zip(axes.get_lines(), si.get_lines(), strict=True):
         # x0 = P / k = 0.05 m, and omega_n = 10 / s.
         scaled = np.asarray(plain.get_xydata()) * [0.5, 0.0025]
         np.testing.assert_allclose(np.asarray(own.get_xydata()), scaled, rtol=1e-12)
+
+
+def test_branches_lie_on_axes_that_are_given_each_word_once_in_the_legend():
+    given = Figure().subplots()
+    branch = cycle_branch()
+    for colour, label in (("black", "upper"), ("red", "lower")):
+        assert plot_branch(branch, ax=given, color=colour, label=label) is given
+    assert legend(given) == [
+        "upper, stable", "upper, unstable", "fold", "Hopf point", "lower, stable",
+        "lower, unstable",
+    ]  # fmt: skip
+    assert page_of(plot_branch(branch)).get_figwidth() == COLUMN_WIDTH
+
+
+def extremes(values):
+    """Indices of the local extremes of `values`."""
+    return (np.flatnonzero(np.diff(np.sign(np.diff(values)))) + 1).tolist()
 
 
 def test_the_line_has_no_corners_and_no_folds_of_its_own():
@@ -84,9 +107,14 @@ def test_the_line_has_no_corners_and_no_folds_of_its_own():
     t = np.array([-1.0, -0.7, -0.5, -0.2, 0.0, 0.15, 0.4, 0.8, 1.0])
     x, y = smooth(t**2, t)
     np.testing.assert_array_equal((x[::PARTS], y[::PARTS]), (t**2, t))
-    turns = [np.flatnonzero(np.diff(np.sign(np.diff(values)))) + 1 for values in (x, y)]
-    assert list(map(list, turns)) == [[4 * PARTS], []]
+    assert extremes(x) == [4 * PARTS]
+    assert extremes(y) == []
     assert np.max(np.abs(x - y**2)) < 0.01  # of the chords 0.0225
+
+    def corner(x, y):
+        return np.max(np.abs(np.diff(np.unwrap(np.arctan2(np.diff(y), np.diff(x))))))
+
+    assert corner(x, y) < 0.25 * corner(t**2, t)
 
 
 def test_special_curves_meet_and_the_region_between_them_is_shaded():
@@ -105,3 +133,4 @@ def test_special_curves_meet_and_the_region_between_them_is_shaded():
     assert not either[0].contains_points(outside).any()
     assert alone[0].contains_points([(0.75, 0.15), (0.1, 0.25)]).all()
     assert not alone[0].contains_points(inside).any()
+    assert "damping" in axes.get_ylabel()

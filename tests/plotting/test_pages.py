@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import matplotlib
 import numpy as np
 import pytest
 import xarray as xr
@@ -48,9 +49,12 @@ def test_rest_is_drawn_as_stable_only_where_the_numbers_of_the_run_say_so():
     (unstable,) = labelled(named_panels(figure({"ladder": bare}))[0], "unstable sliding")
     assert where(unstable) == [1.0, 1.1]
     assert "sliding       at belt speeds 1.2 to 1.9\n" in summary("ladder", bare)
-    axes = {"damping_ratio": [0.05, 0.1], "belt_speed": [0.5, 1.0, 1.3]}
-    damped = results(axes, np.zeros((2, 3)), 2, damping_ratio="swept")
-    damped = damped.drop_vars("hopf_belt_speed")  # v_H is ln(10) / 2, and ln(5) / 2
+    damped = results(
+        {"damping_ratio": [0.05, 0.1], "belt_speed": [0.5, 1.0, 1.3]},
+        np.zeros((2, 3)),
+        2,
+        damping_ratio="swept",
+    ).drop_vars("hopf_belt_speed")  # v_H is ln(10) / 2, and ln(5) / 2
     axes = named_panels(figure({"damped": damped}))[0]
     assert where(*labelled(axes, "unstable sliding")) == [0.5, 1.0, 0.5]
     assert where(*labelled(axes, "steady sliding")) == [1.3, 1.0, 1.3]
@@ -73,17 +77,20 @@ def test_only_what_does_not_move_slides_steadily():
 
 
 def test_the_hopf_speed_is_read_off_the_data():
+    before = dict(matplotlib.rcParams)
     for given, expected in ((None, 0.5 * np.log(10)), (1.25, 1.25)):
         page = figure({"single": single(), "ladder": ladder(), "more": ladder()}, hopf=given)
         for axes in named_panels(page):
             assert where(*labelled(axes, r"Hopf $\tilde v_H$")) == [expected] * 2
     assert [axes.get_title(loc="left") for axes in named_panels(page)] == ["(a)", "(b)", "(c)"]
+    assert dict(matplotlib.rcParams) == before
 
 
-def test_no_hopf_speed_is_drawn_that_is_not_that_of_all_runs():
+@pytest.mark.parametrize("values", [None, np.nan, [np.nan, 1.2]])
+def test_no_hopf_speed_is_drawn_that_is_not_that_of_all_runs(values):
     data = single().drop_vars("hopf_belt_speed")
-    assert hopf_belt_speed(data) is None
-    data["hopf_belt_speed"] = ("coupling", [np.nan, 1.2])
+    if values is not None:
+        data["hopf_belt_speed"] = (("coupling",) * np.ndim(values), values)
     assert hopf_belt_speed(data) is None
     (axes,) = named_panels(figure({"single": data}))
     assert not labelled(axes, r"Hopf $\tilde v_H$")
@@ -142,3 +149,16 @@ def test_failed_runs_are_crosses_and_are_listed_with_advice():
     assert "19 successful, 1 nonfinite" in text
     assert "failed        belt_speed 1, displacement 1.1: nonfinite" in text
     assert "NaN or infinite" in text
+
+
+def test_the_figure_of_a_scene_of_cells_shows_every_run(pairs):
+    data = pairs[["amplitude_velocity", "result", "steps"]]
+    (axes,) = named_panels(figure({"pairs": data}))
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("mu (–)", "amplitude of velocity (–)")
+    assert legend(axes) == ["0.5", "1"]
+    for k, line in enumerate(axes.get_lines()):
+        expected = pairs["amplitude_velocity"].values[:, k]
+        np.testing.assert_array_equal(np.sort(height(line)), np.sort(expected.ravel()))
+    text = summary("pairs", data)
+    assert "model         VanDerPol, n 2; mu swept; coupling 0.1" in text
+    assert "6 successful" in text

@@ -63,6 +63,6 @@ TEXTS = ["a\nb", 'quotes " and \\', "\x00\x1b\x7f\u2028", "ü", "", "'''", "a\r\
 
 @pytest.mark.parametrize("text", TEXTS)
 def test_any_text_and_any_number_come_back(text):
-    numbers = [1e-300, 1e16, 0.1 + 0.2, 5e-324, 10**18, -3, True, False, float("inf")]
-    data = {text: [text, {text: text}], "t": {text: {"inner": numbers}, "b": []}, "e": {}}
-    assert tomllib.loads(to_toml(data)) == data
+    numbers = [1e-300, 1e16, 0.1 + 0.2, -0.0, 5e-324, 10**18, -3, True, False, float("inf")]
+    data = {text: [text, {text: text}], "t": {"b": [], text: {"inner": numbers}}, "e": {}}
+    assert repr(tomllib.loads(to_toml(data))) == repr(data)  # -0.0 and True, too

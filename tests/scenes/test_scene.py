@@ -104,7 +104,7 @@ sweep.wdith=[1] -> sweep.wdith: is neither a number of the chain nor a parameter
 time.window=3 -> time.window: must hold at least one period, 6.283, but is 3
 observe.others=[{observer="Divergence"},{observer="Section",oscillator=5}] -> observe.others[1].os
 observe.others=[{observer='Divergence'},{observer='Divergence'}] -> observe: holds `Divergence`, wh
-observe.others=[{observer='FrontTrack',windows=100}] -> observe.others[0].windows: would be parts
+observe.others=[{observer='FrontTrack',windows=7}] -> observe.others[0].windows: would be parts of
 chain.friction={law="tabulated",file="nu.csv",width=1} -> chain.friction: has a `file` t
 chain.friction={law="tabulated",speed=[0.1,1],mu=[1,0.5],width=1} -> chain.friction: Arguments `spe
 chain.n=1 -> chain.coupling: must be left out: a single mass (`n` = 1)

@@ -14,6 +14,7 @@ from jaxchain import (
     Chain,
     Coulomb,
     EventDriven,
+    ExponentialDecay,
     PeakTimes,
     StaticKinetic,
     StickTime,
@@ -210,6 +211,25 @@ def test_derivatives_pass_through_events_that_fall_together():
     assert np.max(np.abs(jacobian)) > 0.1
 
 
+def test_cells_in_step_have_the_slopes_of_one_by_itself():
+    """With a full mass matrix the other displacement feels how friction changes at an event."""
+    cells = MechanicalCells(
+        [[2.0, -0.6], [-0.6, 1.5]], mass=[[1.0, 0.3], [0.3, 1.2]], damping=0.1,
+        friction=ExponentialDecay(1.0, 0.5, 0.5), belt_speed=0.3,
+    )  # fmt: skip
+    start = np.array([[1.9], [-0.7], [0.4], [0.9]])
+
+    @jax.jit
+    @jax.jacfwd
+    def slopes(moved, other):
+        both = jnp.concatenate([start + moved[:, None], other], axis=1)
+        return jnp.stack(run(cells, tuple(both), 6.0, throw=False).state)[:, 0]
+
+    in_step, alone = (slopes(jnp.zeros(4), share * start) for share in (1.0, 0.8))
+    np.testing.assert_allclose(in_step, alone, atol=1e-9)
+    assert np.max(np.abs(alone)) > 0.5
+
+
 def richardson(function, at, side, *more):
     """The slope of a function along a side, by central differences of two lengths."""
     near, far = (
@@ -360,3 +380,10 @@ def test_the_derivative_in_an_end_that_falls_together_with_an_event():
         _, by_p, by_t1 = end_and_slopes(p, float(t1 + ulps * np.spacing(t1)))
         found = [[by_p[i, 0], by_t1[i]] for i in (0, 3)]
         np.testing.assert_allclose(found, [[1.0, 1.2], [0.0, 0.0]], atol=1e-12)
+
+
+@pytest.mark.long
+def test_the_chain_of_twenty_follows_the_witness():
+    chain = paper_chain(20, 1.3)
+    witness = against_witness(chain, equation_8(chain, 9), 120.0)
+    assert len(witness.events) > 300

@@ -11,8 +11,18 @@ import numpy as np
 from jaxchain import Amplitude, Rodas4, equation_8, paper_chain, simulate
 from jaxchain.result import Result
 from jaxchain.simulation import Method
+from jaxchain.simulation.smoothed import _quintic
 
 KEPT = 12  # states, of many more steps
+
+
+def test_what_observers_see_of_a_step_is_exact_for_polynomials_of_degree_five():
+    x = np.polynomial.Polynomial([0.3, -1.0, 0.7, 2.0, -0.4, 1.1])
+    ends = [[x.deriv(order)(t) for order in range(3)] for t in (0.0, 0.7)]
+    part = _quintic(0.7, *(tuple(end[:2]) for end in ends), *(end[2] for end in ends))
+    for theta in (0.0, 0.2, 0.6, 1.0):
+        expected = x(0.7 * theta), x.deriv()(0.7 * theta)
+        np.testing.assert_allclose([part(theta, k) for k in (0, 1)], expected, rtol=1e-13)
 
 
 def test_a_run_that_is_cut_or_whose_steps_are_taken_again_is_the_same():

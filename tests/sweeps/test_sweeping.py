@@ -48,6 +48,7 @@ class Named(Last):
         return {self.name: Variable(value, self.dims, "x0", "last x_n")}
 
 
+COUNTED = "steps", "rejected"
 OVER = {"belt_speed": [1.0, 1.4, 1.9], "excited": [0, 1, 4]}
 
 
@@ -71,7 +72,10 @@ def test_every_lane_is_the_single_run_also_as_a_dataset(small, tmp_path):
         assert one[name].dims == lane[name].dims
         words = [{k: str(v) for k, v in data[name].attrs.items()} for data in (one, lane)]
         assert words[0] == words[1]
-        np.testing.assert_allclose(one[name], lane[name], rtol=0.02, atol=1e-4)
+        # Rounding differs, so that a step more may be taken.
+        np.testing.assert_allclose(
+            one[name], lane[name], rtol=0, atol=2 if name in COUNTED else 1e-4
+        )
     assert small.attrs.keys() - one.attrs.keys() <= {
         "wall_time_s", "devices", "device_kind", "lanes_per_device", "lanes_per_device_at_end"
     }  # fmt: skip

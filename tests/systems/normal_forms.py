@@ -9,11 +9,6 @@ def circle(u, p, args):
     return u**2 + p**2 - 1.0
 
 
-def hysteresis(u, p, args):
-    """Folds at u = -+1/sqrt(3), p = -+2 / (3 sqrt 3)."""
-    return u**3 - u + p
-
-
 def pitchfork(u, p, imperfection):
     """u = 0 and u^2 = p cross at 0; with an imperfection d, fold at p = 3 (d/2)^(2/3)."""
     return p * u - u**3 + imperfection
