@@ -33,9 +33,9 @@ PHRASE = 60
 # Words of questions, which say nothing of what is asked for.
 QUESTION = {
     "all", "can", "could", "did", "do", "does", "each", "from", "get", "give", "had", "has",
-    "have", "how", "i", "make", "me", "much", "must", "my", "need", "one", "our", "see", "should", "so",
-    "take", "use", "used", "want", "we", "what", "when", "where", "which", "who", "why", "would",
-    "you", "your",
+    "have", "how", "i", "make", "me", "much", "must", "my", "need", "one", "our", "see",
+    "should", "so", "take", "use", "used", "want", "we", "what", "when", "where", "which",
+    "who", "why", "would", "you", "your",
 }  # fmt: skip
 _LANGUAGE = SearchEnglish({})
 STOPWORDS = (_LANGUAGE.stopwords | QUESTION) - {"own"}

@@ -234,14 +234,12 @@ def _shade_between(axes: Axes, hopf: np.ndarray, fold: np.ndarray, named: bool) 
     `named`: below the Hopf points, too, with names for all regions.
     """
     second = np.unique(np.concatenate([hopf[1], fold[1]]))
-    ends = [(np.min(line[1]), np.max(line[1])) for line in (hopf, fold)]
-    low, high = np.max(ends, axis=0)[0], np.min(ends, axis=0)[1]
-    second = second[(second >= low) & (second <= high)]
 
     def sides(line: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The firsts of least and greatest modulus at each second parameter, over all pieces.
 
-        The least one is 0 for an odd number of them.
+        The least one is 0 for an odd number of them.  Where there is none they are NaN, and
+        nothing is shaded.
         """
         x, y = line
         least, most = np.full((2, second.size), np.nan)

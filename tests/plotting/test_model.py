@@ -1,7 +1,9 @@
 """The drawing of the model shows what the chain has, and its own law of friction."""
 
+import jax.numpy as jnp
 import matplotlib
 import numpy as np
+import pytest
 from drawn import SCALES
 from matplotlib.colors import to_hex
 from matplotlib.patches import FancyArrowPatch, Rectangle
@@ -11,6 +13,7 @@ from jaxchain.model.friction import Coulomb, ExponentialDecay
 from jaxchain.plotting.colours import BLUE
 from jaxchain.plotting.model import draw_model, plot_friction_law
 from jaxchain.plotting.style import STYLE
+from jaxchain.plotting.symbols import zigzag
 
 
 def texts(axes):
@@ -39,10 +42,15 @@ def test_every_mass_has_its_load_and_displacement_and_the_last_is_called_n():
     assert names.count("$m$") == names.count("$P$") == 4
     assert [name for name in names if "x_" in name] == [f"$x_{{{n}}}$" for n in (1, 2, 3, "N")]
     assert {"$k$", "$c$", "$k_c$", "$v_d$", "…", "$k_c$ closes the ring"} <= set(names)
+
+
+def test_what_the_chain_has_not_is_not_drawn():
     left, _ = draw_model(paper_chain(3).with_(ends="free"), masses=4).axes
     assert len(masses(left)) == 3
+    assert "$k_c$" in texts(left)
     assert "$k_c$ closes the ring" not in texts(left)
-    left, _ = draw_model(paper_chain(1)).axes  # what a chain has not is not drawn
+    left, _ = draw_model(paper_chain(1)).axes
+    assert len(masses(left)) == 1
     assert not [name for name in texts(left) if "k_c" in name or name == "…"]
 
 
@@ -50,9 +58,18 @@ def test_friction_is_that_of_eq_1_and_2_and_of_its_smoothing():
     _, right = draw_model(paper_chain(20, width=0.05)).axes
     w, force = curve(right, "dry")
     np.testing.assert_allclose(force, -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)), rtol=1e-14)
+    # Where the law is set-valued a vertical line joins its two values.
+    vertical = [y for x, y in map(points, right.get_lines()) if x.tolist() == [0.0, 0.0]]
+    assert [-1.0, 1.0] in [y.tolist() for y in vertical]
     w, force = curve(right, r"$\varepsilon$ = 0.05")
     expected = -(0.5 + 0.5 * np.exp(-np.abs(w) / 0.5)) * np.tanh(w / 0.05)
     np.testing.assert_allclose(force, expected, rtol=1e-12, atol=1e-15)
+    assert np.all(np.diff(w) >= 0)
+    ticks = dict(
+        zip(right.get_yticks(), [t.get_text() for t in right.get_yticklabels()], strict=True)
+    )
+    assert ticks[1.0] == r"$\mu_{st}$"
+    assert ticks[-0.5] == r"$-\mu_d$"
     # The layer of smoothing, in widths.
     (inset,) = right.child_axes
     assert inset.get_xlabel() == r"$\tilde v_{rel}/\varepsilon$"
@@ -61,8 +78,9 @@ def test_friction_is_that_of_eq_1_and_2_and_of_its_smoothing():
     np.testing.assert_allclose(layer[1], expected, atol=1e-15)
 
 
-def test_no_two_labels_overlap():
-    page = draw_model(paper_chain(20))
+@pytest.mark.parametrize("chain", [paper_chain(20), paper_chain(2, belt_speed=-1.0)])
+def test_no_two_labels_overlap(chain):
+    page = draw_model(chain)
     with matplotlib.rc_context(STYLE):
         page.draw_without_rendering()
     for axes in page.axes:
@@ -71,6 +89,11 @@ def test_no_two_labels_overlap():
         boxes += [] if legend is None else [legend.get_window_extent()]
         for i, box in enumerate(boxes):
             assert not any(box.overlaps(other) for other in boxes[:i])
+
+
+def test_a_spring_keeps_its_ends():
+    x, y = zigzag((1.0, 2.0), (4.0, 6.0))
+    assert (x[0], y[0], x[-1], y[-1]) == pytest.approx((1.0, 2.0, 4.0, 6.0))
 
 
 LAW = ExponentialDecay(1.0, 0.5, 0.5)
@@ -83,14 +106,20 @@ def lines(axes):
 def test_a_dry_law_has_two_branches_and_an_upright_line_between_them():
     left, right, jump, _ = lines(plot_friction_law(LAW, reach=2.0))
     for (w, force), sign in ((left.T, 1.0), (right.T, -1.0)):
-        np.testing.assert_allclose(force, sign * np.asarray(LAW.coefficient(np.abs(w))))
+        np.testing.assert_allclose(force, sign * np.asarray(LAW.coefficient(jnp.abs(w))))
         assert np.abs(w).max() == 2.0
     np.testing.assert_array_equal(jump, [[0.0, -1.0], [0.0, 1.0]])
     # Of masses that differ the first is shown.
-    chain = paper_chain(2, width=None).with_(mu_static=np.array([0.9, 1.2]))
-    np.testing.assert_array_equal(lines(plot_friction_law(chain))[2][:, 1], [-0.9, 0.9])
+    chain = paper_chain(2, width=None).with_(mu_static=jnp.array([0.9, 1.2]))
+    axes = plot_friction_law(chain)
+    assert len(axes.get_lines()) == 4
+    np.testing.assert_array_equal(lines(axes)[2][:, 1], [-0.9, 0.9])
+
+
+def test_axes_in_si_units():
     axes = plot_friction_law(Coulomb(0.4), reach=1.0, scales=SCALES)
     assert axes.get_xlabel() == "relative velocity $v_{rel}$ (m/s)"
+    assert axes.get_ylabel() == "friction force $F$ (N)"
     np.testing.assert_allclose(lines(axes)[2][:, 1], [-4.0, 4.0])
     assert axes.get_xlim() == (-0.5, 0.5)
 

@@ -1,6 +1,7 @@
 """Runs with smoothed friction: continuation of a cut run, and repeated steps."""
 
 import functools as ft
+from typing import Any
 
 import diffrax as dfx
 import equinox as eqx
@@ -17,9 +18,9 @@ KEPT = 12  # states, of many more steps
 
 
 def test_what_observers_see_of_a_step_is_exact_for_polynomials_of_degree_five():
-    x = np.polynomial.Polynomial([0.3, -1.0, 0.7, 2.0, -0.4, 1.1])
-    ends = [[x.deriv(order)(t) for order in range(3)] for t in (0.0, 0.7)]
-    part = _quintic(0.7, *(tuple(end[:2]) for end in ends), *(end[2] for end in ends))
+    x: Any = np.polynomial.Polynomial([0.3, -1.0, 0.7, 2.0, -0.4, 1.1])
+    (*y0, a0), (*y1, a1) = ([x.deriv(k)(t) for k in range(3)] for t in (0.0, 0.7))
+    part = _quintic(0.7, tuple(y0), tuple(y1), a0, a1)
     for theta in (0.0, 0.2, 0.6, 1.0):
         expected = x(0.7 * theta), x.deriv()(0.7 * theta)
         np.testing.assert_allclose([part(theta, k) for k in (0, 1)], expected, rtol=1e-13)
