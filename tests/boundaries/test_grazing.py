@@ -15,9 +15,9 @@ from jaxchain.result import SearchResult
 
 NAMES = ("damping_ratio", "mu_static", "mu_dynamic", "v_ref")
 PAPER = np.array([0.05, 1.0, 0.5, 0.5])
-# Two masses: of the first sets the second is on its own, so that they are those of one mass; in
-# the last but one it is coupled, and in the last, hardly damped and hardly loaded, it resonates.
-# The friction of the third is constant.
+# Two masses. In the first three sets they are not coupled, so that the fold is the one of a single
+# mass; in the fourth they are; in the fifth the second one, hardly damped and hardly loaded,
+# resonates. The friction of the third set is constant.
 SETS = np.array([PAPER, [0.12, 0.7, 0.3, 0.3], [0.05, 1.0, 1.0, 0.5], PAPER, PAPER])
 EXISTS = np.array([True, True, False, True, False])
 CHAIN = paper_chain(2, width=None).with_(damping_ratio=np.ones(2), normal_load=np.ones(2))
@@ -29,7 +29,7 @@ COUPLING = np.array([0.0] * 3 + [0.05, 0.02])
 def slip_cycle(mu, matrix, damping, fold):
     """SciPy's: (gaps after a period, greatest velocities, multiplier of mass 0 on its own).
 
-    The multiplier is that of Liouville's theorem.
+    The multiplier is the exponential of the integrated divergence (Liouville).
     """
     x, v = np.asarray(fold.state)
     n, speed, start = x.size, float(fold.belt_speed), np.array([*x, *v, 0.0])

@@ -62,7 +62,7 @@ def test_both_models_share_a_file_and_a_panel(tmp_path, monkeypatch):
     np.testing.assert_allclose(np.sort(ring.get_ydata()), np.sort(data["ladder_dry"].energy, None))
     assert len([axes for axes in page.axes if axes.get_ylabel()]) <= 2  # a panel, a colour bar
     monkeypatch.setattr(running, "describe", lambda store, about: None)
-    # Alone it goes by the name of the experiment; cycles are those of smoothed friction.
+    # Alone it has the name of the experiment; cycles are searched with smoothed friction only.
     monkeypatch.setattr(running, "cycles", lambda *of: pytest.fail("asked for cycles"))
     alone = scene(tmp_path, "dry")
     (tmp_path / "alone").mkdir()

@@ -57,7 +57,7 @@ def full(whole, path):
 def test_a_store_holds_what_the_sweep_in_memory_returns(memory, path, chunks):
     assert_same(small(path, chunks=chunks), memory)
     assert_same(xr.open_zarr(path), memory)
-    assert_same(small(path, chunks=None, lanes=None), memory)  # those of the store
+    assert_same(small(path, chunks=None, lanes=None), memory)  # as in the store
     with pytest.raises(ValueError, match=r"has 3 values along 'excited', but the store .* has"):
         small(path, chunks={"excited": 3})
 
