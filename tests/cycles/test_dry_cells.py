@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from systems.orbits import closed_orbit
 from witnesses.cells import Events
 
 from jaxchain.cycles.floquet import monodromy_matrix
@@ -94,8 +93,3 @@ def test_cycles_of_two_displacements_with_one_contact_are_scipys():
     )
     assert complex(cycle.multipliers[-1]) == 0
     assert (float(cycle.fastest[0]), float(cycle.scaled_peak_velocity[0])) == (0.5, 0.0)
-
-
-def test_a_cycle_that_a_verdict_closes_has_multipliers_of_exactly_zero(dry_cycle):
-    orbit = closed_orbit(dry_cycle.chain, dry_cycle.state, dry_cycle.period)
-    np.testing.assert_array_equal(orbit.multipliers, [0.0])

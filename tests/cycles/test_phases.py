@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from systems.orbits import closed_orbit
 
 from jaxchain import Coulomb
 from jaxchain.cycles.phases import OTHER_EVENTS, peak, turning_point
@@ -64,3 +65,8 @@ def test_the_turning_point_of_a_polynomial_of_degree_5_is_its_extreme():
     found = jax.jit(turning_point)(*(np.array([part]) for part in (*ends, h)))
     (turn,) = (r.real for r in polynomial.deriv().roots() if abs(r.imag) < 1e-9 and 0 < r.real < h)
     assert float(found[0]) == pytest.approx(polynomial(turn), abs=1e-12)
+
+
+def test_a_cycle_that_a_verdict_closes_has_multipliers_of_exactly_zero(dry_cycle):
+    orbit = closed_orbit(dry_cycle.chain, dry_cycle.state, dry_cycle.period)
+    np.testing.assert_array_equal(orbit.multipliers, [0.0])
